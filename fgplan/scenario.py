@@ -1,0 +1,224 @@
+"""What is known now: robot, goal, map, people seen so far, and the parameters of the density."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fgplan.occupancy import OccupancyGrid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A holonomic disc and its state now.
+
+    Args:
+        position: Shape (2,) [m], map frame.
+        velocity: Shape (2,) [m/s].
+        heading: [rad] counter-clockwise from x; None means the direction of motion (or of the
+            goal, when standing).
+        covariance: Of (x, y, vx, vy), shape (4, 4); None means that the state is exact.
+        radius: [m].
+        preferred_speed: Cruise speed of a global plan [m/s].
+        max_speed: [m/s].
+        max_acceleration: [m/s²].
+    """
+
+    position: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(2))
+    heading: float | None = None
+    covariance: Array | None = None
+    radius: float = 0.25
+    preferred_speed: float = 1.0
+    max_speed: float = 1.2
+    max_acceleration: float = 1.5
+
+    @property
+    def state(self) -> Array:
+        """(x, y, vx, vy)."""
+        return np.concatenate([self.position, self.velocity])
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Where one person was seen. Gaps and any sampling are fine; one position is enough.
+
+    Args:
+        identity: Name of the person, unique in a scenario.
+        times: Shape (m,) [s], increasing, none after the scenario's `now`.
+        positions: Shape (m, 2) [m].
+        radius: Of the person's disc [m].
+    """
+
+    identity: str
+    times: Array
+    positions: Array
+    radius: float = 0.3
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """What the robot can see: who is outside is not in the density at all.
+
+    Args:
+        range: [m].
+        angle: Full opening angle [rad], centred on the robot's heading; 2π sees all round.
+        occlusion: Whether obstacles of the map hide people behind them.
+    """
+
+    range: float = np.inf
+    angle: float = 2 * np.pi
+    occlusion: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPlan:
+    """A global plan that the user states instead of, or beside, the generated ones.
+
+    Args:
+        label: Its name in every table.
+        path: Vertices, shape (N, 2) [m]; the first is where the robot is.
+        weight: w_i, any positive number on the scale of the other given plans; None means that
+            the weight comes from the path's cost like a generated plan's.
+    """
+
+    label: str
+    path: Array
+    weight: float | None = None
+
+
+@dataclass(frozen=True)
+class Level:
+    """One planning level η_l of the stack, from the mission (first) to the next above the robot.
+
+    Args:
+        name: For tables and pictures.
+        sigma: Standard deviation of η_l around its mean [m]: the width of the corridor it may
+            use. 0 is the paper's δ: the level is then the fixed path and not a variable. Level 0
+            has the global plan as its mean; a lower level follows the level above and takes
+            `inf`, which means no prior of its own.
+        length: Correlation time of that deviation [s].
+        h: Variance of the coupling to the next level down, or to the robot [m²].
+    """
+
+    name: str = "mission"
+    sigma: float = 0.0
+    length: float = 4.0
+    h: float = 1.0
+
+
+@dataclass(frozen=True)
+class Density:
+    """Parameters of the joint density; `docs/conventions.md` says where the defaults come from.
+
+    Args:
+        dt: Time between two states [s].
+        horizon: [s]; the number of steps is horizon/dt, rounded.
+        t_ref: Potentials carry the exponent dt/t_ref [s], so that a decision does not depend on
+            dt; None means t_ref = dt, the paper's plain product over steps.
+        Qc_robot: Power spectral density of the robot's acceleration [m²/s³].
+        Qc_people: The same for people [m²/s³].
+        sigma_track: Standard deviation of a tracked position [m].
+        sigma_speed: Prior standard deviation of a person's velocity [m/s].
+        alpha: Strength of the interaction, in [0, 1].
+        h_c: Its length [m].
+        contact_sigma: Of the contact hinge [m]; inf switches the hinge off.
+        contact_margin: ε of the contact hinge [m], beyond the two radii.
+        obstacle_sigma: Of the obstacle hinge [m]; inf switches it off.
+        obstacle_margin: ε of the obstacle hinge [m], beyond the robot's radius.
+        limit_sigma: Of the speed [m/s] and acceleration [m/s²] hinges; inf switches them off.
+        beta: Nats per second of cost to go: w = softmax(−beta J).
+    """
+
+    dt: float = 0.4
+    horizon: float = 4.8
+    t_ref: float | None = 0.4
+    Qc_robot: float = 2.0
+    Qc_people: float = 0.029
+    sigma_track: float = 0.043
+    sigma_speed: float = 1.5
+    alpha: float = 0.99
+    h_c: float = 0.36
+    contact_sigma: float = 0.1
+    contact_margin: float = 0.2
+    obstacle_sigma: float = 0.1
+    obstacle_margin: float = 0.1
+    limit_sigma: float = 0.1
+    beta: float = 0.7
+
+    @property
+    def steps(self) -> int:
+        """Number of steps T; a trajectory has T + 1 states."""
+        return max(1, round(self.horizon / self.dt))
+
+    @property
+    def times(self) -> Array:
+        """t_k = k·dt, shape (T + 1,) [s]; 0 is now."""
+        return self.dt * np.arange(self.steps + 1)
+
+    @property
+    def exponent(self) -> float:
+        """dt/t_ref, the power of every per-step potential."""
+        return 1.0 if self.t_ref is None else self.dt / self.t_ref
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """Everything a plan depends on.
+
+    Args:
+        robot: The robot now.
+        goal: Shape (2,) [m]; None means that no goal is known.
+        grid: The map; None is open space without limits.
+        tracks: The people seen so far.
+        now: Time of the robot's state on the clock of the tracks [s].
+        field_of_view: None sees everybody.
+        plans: Global plans given by the user.
+        count: How many global plans to generate beside them; 0 for none.
+        crowd: "joint" plans the people with the robot, "predicted" holds them at their
+            prediction.
+        pairs: Who interacts: "all" or only the "robot" with each person.
+        levels: The stack of planning levels, mission first.
+        density: Parameters.
+        name: For tables and pictures.
+    """
+
+    robot: Robot
+    goal: Array | None = None
+    grid: OccupancyGrid | None = None
+    tracks: tuple[Track, ...] = ()
+    now: float = 0.0
+    field_of_view: FieldOfView | None = None
+    plans: tuple[GivenPlan, ...] = ()
+    count: int = 3
+    crowd: Literal["joint", "predicted"] = "joint"
+    pairs: Literal["all", "robot"] = "all"
+    levels: Sequence[Level] = (Level(),)
+    density: Density = Density()
+    name: str = "scenario"
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scenario:
+        """Read a scenario file (TOML).
+
+        Raises:
+            ScenarioError: the file is missing, is not TOML, or says something that cannot be
+                planned; all mistakes are reported at once.
+            MapError: its map cannot be read.
+        """
+        from fgplan.scenario_file import load  # pydantic only when a file is read
+
+        return load(Path(path))
+
+    def replace(self, **changes: Any) -> Scenario:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)

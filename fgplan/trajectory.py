@@ -1,0 +1,92 @@
+"""Trajectories: states on a time grid, and the curve between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Positions and velocities at increasing times; a cubic Hermite curve between them.
+
+    The Hermite cubic is the conditional mean of the white-noise-on-acceleration prior between
+    two of its states (Barfoot, Tong, Särkkä, RSS 2014), so what is checked between the states is
+    what the density means.
+
+    Args:
+        times: Shape (S,) [s], strictly increasing.
+        positions: Shape (S, 2) [m].
+        velocities: Shape (S, 2) [m/s].
+
+    Raises:
+        ValueError: shapes disagree, a number is not finite, or times do not increase.
+    """
+
+    times: Array
+    positions: Array
+    velocities: Array
+
+    def __post_init__(self) -> None:
+        size = len(self.times)
+        for name, shape in (("times", (size,)), ("positions", (size, 2)), ("velocities", (size, 2))):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != shape:
+                raise ValueError(f"{name} has shape {value.shape}, expected {shape}")
+            if not np.all(np.isfinite(value)):
+                raise ValueError(f"{name} holds a number that is not finite")
+            object.__setattr__(self, name, value)
+        if size == 0 or np.any(np.diff(self.times) <= 0):
+            raise ValueError("times must be a non-empty, strictly increasing sequence")
+
+    @classmethod
+    def from_states(cls, times: Array, states: Array) -> Trajectory:
+        """From rows (x, y, vx, vy), shape (S, 4)."""
+        return cls(times, states[:, :2], states[:, 2:4])
+
+    @property
+    def states(self) -> Array:
+        """Rows (x, y, vx, vy), shape (S, 4)."""
+        return np.hstack([self.positions, self.velocities])
+
+    @property
+    def rows(self) -> list[list[float]]:
+        """Rows (t, x, y, vx, vy), as they go into a file."""
+        return np.column_stack([self.times, self.states]).tolist()  # type: ignore[no-any-return]
+
+    def at(self, times: Any) -> Array:
+        """States (x, y, vx, vy) at the given times, shape (..., 4).
+
+        Outside the time grid the first or last velocity is held.
+        """
+        t = np.asarray(times, dtype=float)
+        if len(self.times) == 1:
+            ahead = (t - self.times[0])[..., None]
+            position = self.positions[0] + ahead * self.velocities[0]
+            return np.concatenate([position, np.broadcast_to(self.velocities[0], position.shape)], -1)
+        k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        dt = (self.times[k + 1] - self.times[k])[..., None]
+        inside = np.clip(t, self.times[0], self.times[-1])
+        s = (inside - self.times[k])[..., None] / dt
+        p0, p1 = self.positions[k], self.positions[k + 1]
+        m0, m1 = self.velocities[k] * dt, self.velocities[k + 1] * dt
+        position = (
+            (1 + 2 * s) * (1 - s) ** 2 * p0
+            + s * (1 - s) ** 2 * m0
+            + s**2 * (3 - 2 * s) * p1
+            - s**2 * (1 - s) * m1
+        )
+        velocity = (
+            6 * s * (s - 1) * (p0 - p1) + (1 - s) * (1 - 3 * s) * m0 + s * (3 * s - 2) * m1
+        ) / dt
+        position = position + (t - inside)[..., None] * velocity
+        return np.concatenate([position, velocity], -1)
+
+    def resampled(self, times: Array) -> Trajectory:
+        """The same curve with states at other times."""
+        return Trajectory.from_states(np.asarray(times, dtype=float), self.at(times))
