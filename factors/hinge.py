@@ -1,0 +1,86 @@
+"""One-sided penalties on a distance or a speed, with their true curvature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from factors.residual import Array, Expansion
+
+# Smooths the norm at the origin [m, or m/s]. A micrometre keeps every number finite where two
+# positions coincide and changes a distance of half a metre by less than 1e-12.
+TINY = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Hinge:
+    r"""e = scale · max(0, ±(d − threshold)) of a scalar d(p), e.g. a distance or a speed.
+
+    The energy is ½e², so its gradient is continuous across the threshold.
+
+    Args:
+        threshold: Where the penalty starts; a number, or an array that broadcasts against d.
+        scale: √weight/sigma: sigma in the unit of d, weight the exponent dt/t_ref. 0 switches
+            the hinge off.
+        side: "above" penalises d > threshold (a limit), "below" d < threshold (a clearance).
+    """
+
+    threshold: float | Array
+    scale: float
+    side: Literal["above", "below"]
+
+    def error(self, d: Array) -> Array:
+        """e, the shape of d."""
+        return np.asarray(np.maximum(0.0, self._slope * (d - self.threshold)))
+
+    def linearize(self, d: Array, gradient: Array) -> tuple[Array, Array]:
+        """e (...) and de/dp (..., m), from d (...) and its gradient (..., m)."""
+        e = self.error(d)
+        return e, np.where(e > 0, self._slope, 0.0)[..., None] * gradient
+
+    def expand(self, d: Array, gradient: Array, hessian: Array) -> Expansion:
+        """½e² with its gradient (..., m) and true Hessian (..., m, m) in p."""
+        e, de = self.linearize(d, gradient)
+        # e is 0 wherever the hinge is off, so no mask is needed for the curvature of d.
+        curvature = (self._slope * e)[..., None, None] * hessian
+        return Expansion(
+            0.5 * e**2, e[..., None] * de, de[..., :, None] * de[..., None, :] + curvature
+        )
+
+    @property
+    def _slope(self) -> float:
+        return self.scale if self.side == "above" else -self.scale
+
+
+def hinge_scale(sigma: float, weight: float = 1.0) -> float:
+    """√weight/sigma, the factor that whitens a hinge whose energy carries the exponent weight.
+
+    Raises:
+        ValueError: sigma is not positive (inf is allowed and switches the hinge off), or weight
+            is negative or not finite.
+    """
+    if not sigma > 0:
+        raise ValueError(f"sigma must be positive, got {sigma}")
+    if not 0 <= weight < np.inf:
+        raise ValueError(f"weight must be a number that is not negative, got {weight}")
+    return float(np.sqrt(weight) / sigma)
+
+
+def norm(v: Array) -> Array:
+    r"""√(‖v‖² + TINY²), shape (...): the length of v (..., m), smooth at v = 0."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", v, v) + TINY**2))
+
+
+def linearize_norm(v: Array) -> tuple[Array, Array]:
+    """`norm` and its gradient v/‖v‖, shape (..., m); zero at v = 0."""
+    length = norm(v)
+    return length, v / length[..., None]
+
+
+def expand_norm(v: Array) -> tuple[Array, Array, Array]:
+    """`norm`, its gradient u = v/‖v‖ and its Hessian (I − u uᵀ)/‖v‖, shape (..., m, m)."""
+    length, u = linearize_norm(v)
+    hessian = (np.eye(v.shape[-1]) - u[..., :, None] * u[..., None, :]) / length[..., None, None]
+    return length, u, hessian
