@@ -1,0 +1,212 @@
+"""The people: from tracks to one belief at t_0, and who of them the robot can see at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.scenario import FieldOfView, Scenario, Track
+
+if TYPE_CHECKING:
+    from fgplan.occupancy import OccupancyGrid
+
+Array = NDArray[np.float64]
+
+STANDING_SPEED = 0.05
+"""Below this speed [m/s] a velocity says nothing about where the robot looks."""
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """p(f_0 | z^f): what the tracks say about n people now, one Gaussian a person.
+
+    Args:
+        names: One per person, in the scenario's order.
+        mean: Rows (x, y, vx, vy), shape (n, 4) [m, m/s].
+        covariance: Shape (n, 4, 4).
+        radii: Shape (n,) [m].
+        Qc: Power spectral density of the people's acceleration [m²/s³].
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+    radii: Array
+    Qc: float
+
+    @property
+    def count(self) -> int:
+        """Number of people n."""
+        return len(self.names)
+
+    def predict(self, times: Array) -> tuple[Array, Array]:
+        """The people at later times, by the white-noise-on-acceleration prior alone.
+
+        Args:
+            times: Seconds from now, shape (S,), none negative.
+
+        Returns:
+            Means (S, n, 4) and covariances (S, n, 4, 4).
+
+        Raises:
+            ValueError: a time is negative.
+        """
+        t = np.asarray(times, dtype=float)
+        if np.any(t < 0):
+            raise ValueError(f"times must not be negative: the belief is of now, got {t.min()} s")
+        eye = np.eye(2)
+        ahead = np.stack([np.ones_like(t), t, np.zeros_like(t), np.ones_like(t)], -1)
+        Phi = _kron(ahead.reshape(-1, 2, 2), eye)[:, None]
+        noise = self.Qc * np.stack([t**3 / 3, t**2 / 2, t**2 / 2, t], -1)
+        Q = _kron(noise.reshape(-1, 2, 2), eye)[:, None]
+        means = (Phi @ self.mean[..., None])[..., 0]
+        return means, Phi @ self.covariance @ np.swapaxes(Phi, -1, -2) + Q
+
+
+def believe(
+    tracks: Sequence[Track], now: float, Qc: float, sigma_track: float, sigma_speed: float
+) -> Belief:
+    """The exact posterior at `now` of each person's state, given all positions of the track.
+
+    The process is Markov, so a Kalman filter through the track's own time stamps is the Gaussian
+    process regression with the white-noise-on-acceleration prior (Barfoot, Tong, Särkkä, RSS
+    2014): before the first position nothing is known of where the person is, and the velocity
+    has zero mean and standard deviation `sigma_speed`. Gaps only let the uncertainty grow.
+
+    A person's belief does not depend, to the last bit, on who else is in `tracks`.
+
+    Args:
+        tracks: Each with at least one position, none after `now`.
+        now: [s].
+        Qc: Power spectral density of the acceleration [m²/s³].
+        sigma_track: Standard deviation of a position [m].
+        sigma_speed: Prior standard deviation of each component of the velocity [m/s].
+
+    Raises:
+        ValueError: a track is empty or has a position after `now`.
+    """
+    times, positions = _padded(tracks, now)
+    count, length = times.shape
+    dt = np.diff(times, axis=1, append=now)
+    # Padding repeats the last time stamp, so it moves nothing; a gain of 0 makes it teach nothing.
+    sizes = np.array([len(track.times) for track in tracks], dtype=int)
+    told = (np.arange(length) < sizes[:, None]).astype(float)
+    q_pp, q_pv, q_vv = Qc * dt**3 / 3, Qc * dt**2 / 2, Qc * dt
+
+    # Both axes share one 2x2 covariance [[pp, pv], [pv, vv]] a person.
+    R = sigma_track**2
+    pp, pv, vv = np.full(count, R), np.zeros(count), np.full(count, sigma_speed**2)
+    p, v = (positions[:, 0].copy() if length else np.zeros((count, 2))), np.zeros((count, 2))
+    for k in range(length):
+        if k > 0:
+            innovation = told[:, k] / (pp + R)
+            gain_p, gain_v = pp * innovation, pv * innovation
+            residual = positions[:, k] - p
+            p, v = p + gain_p[:, None] * residual, v + gain_v[:, None] * residual
+            vv = vv - gain_v * pv
+            pp, pv = pp - gain_p * pp, pv - gain_p * pv
+        step = dt[:, k]
+        p = p + step[:, None] * v
+        pp = pp + step * (2 * pv + step * vv) + q_pp[:, k]
+        pv = pv + step * vv + q_pv[:, k]
+        vv = vv + q_vv[:, k]
+    blocks = np.stack([pp, pv, pv, vv], -1).reshape(count, 2, 2)
+    return Belief(
+        names=tuple(track.identity for track in tracks),
+        mean=np.hstack([p, v]),
+        covariance=_kron(blocks, np.eye(2)),
+        radii=np.array([track.radius for track in tracks], dtype=float),
+        Qc=float(Qc),
+    )
+
+
+def heading(scenario: Scenario) -> float:
+    """Where the robot looks [rad]: as stated, else where it moves, else to the goal, else 0."""
+    robot = scenario.robot
+    if robot.heading is not None:
+        return float(robot.heading)
+    direction = np.asarray(robot.velocity, dtype=float)
+    if np.hypot(*direction) <= STANDING_SPEED:
+        goal = robot.position if scenario.goal is None else scenario.goal
+        direction = np.asarray(goal, dtype=float) - robot.position
+    return float(np.arctan2(direction[1], direction[0]))
+
+
+def visible(
+    field_of_view: FieldOfView,
+    position: Array,
+    heading: float,
+    points: Array,
+    grid: OccupancyGrid | None,
+) -> NDArray[np.bool_]:
+    """Which points the robot sees; the edges of range and angle count as seen.
+
+    Args:
+        field_of_view: Range, full opening angle, and whether the map hides what is behind it.
+        position: Of the robot, shape (2,) [m].
+        heading: [rad].
+        points: Shape (n, 2) [m].
+        grid: The map; None hides nobody.
+
+    Returns:
+        Shape (n,).
+    """
+    offset = np.asarray(points, dtype=float).reshape(-1, 2) - position
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    mask: NDArray[np.bool_] = distance <= field_of_view.range
+    if field_of_view.angle < 2 * np.pi:
+        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - heading
+        aside = np.abs(np.arctan2(np.sin(bearing), np.cos(bearing)))
+        # 1e-12: a point on the very edge must not depend on the rounding of the arctangent.
+        mask &= (aside <= field_of_view.angle / 2 + 1e-12) | (distance == 0)
+    if field_of_view.occlusion and grid is not None and mask.any():
+        target = np.asarray(points, dtype=float).reshape(-1, 2)[mask]
+        origin = np.broadcast_to(np.asarray(position, dtype=float), target.shape)
+        mask[mask] = grid.line_of_sight(origin, target)
+    return mask
+
+
+def seen(scenario: Scenario) -> tuple[Track, ...]:
+    """The tracks of the people whose latest position is in the field of view, in order.
+
+    Who is not seen is not in the density, so the plan is the same to the last bit as without
+    them.
+    """
+    if scenario.field_of_view is None or not scenario.tracks:
+        return tuple(scenario.tracks)
+    latest = np.array([track.positions[-1] for track in scenario.tracks], dtype=float)
+    mask = visible(
+        scenario.field_of_view,
+        np.asarray(scenario.robot.position, dtype=float),
+        heading(scenario),
+        latest,
+        scenario.grid,
+    )
+    return tuple(track for track, inside in zip(scenario.tracks, mask, strict=True) if inside)
+
+
+def _padded(tracks: Sequence[Track], now: float) -> tuple[Array, Array]:
+    """Times (n, m) and positions (n, m, 2) of all tracks, the short ones' last row repeated."""
+    length = max((len(track.times) for track in tracks), default=0)
+    times = np.full((len(tracks), length), float(now))
+    positions = np.zeros((len(tracks), length, 2))
+    for i, track in enumerate(tracks):
+        size = len(track.times)
+        if size == 0:
+            raise ValueError(f"the track of {track.identity!r} is empty")
+        times[i, :size], times[i, size:] = track.times, track.times[-1]
+        positions[i, :size], positions[i, size:] = track.positions, track.positions[-1]
+        if times[i, -1] > now:
+            raise ValueError(
+                f"{track.identity!r} was seen at {times[i, -1]} s, after now = {now} s"
+            )
+    return times, positions
+
+
+def _kron(blocks: Array, eye: Array) -> Array:
+    """Kronecker product of each (m, 2, 2) block with the 2x2 identity, shape (m, 4, 4)."""
+    return np.asarray(np.einsum("mij,kl->mikjl", blocks, eye).reshape(len(blocks), 4, 4))
