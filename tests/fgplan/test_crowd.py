@@ -55,9 +55,10 @@ def dense(track: Track, ahead: np.ndarray, now: float) -> tuple[np.ndarray, np.n
 
 def walk(rng: np.random.Generator, size: int, now: float, identity: str = "p") -> Track:
     """A track with irregular sampling that ends at or before `now`."""
-    times = now - rng.choice([0.0, 0.3]) - np.cumsum(rng.uniform(0.05, 1.5, size))[::-1] + 0.05
+    gaps = np.cumsum(rng.uniform(0.05, 1.5, size))
+    times = now - rng.choice([0.0, 0.3]) - (gaps - gaps[0])[::-1]
     positions = rng.normal(0, 3, 2) + np.outer(times, rng.normal(0, 1, 2))
-    return Track(identity, np.minimum(times, now), positions + rng.normal(0, 0.05, (size, 2)))
+    return Track(identity, times, positions + rng.normal(0, 0.05, (size, 2)))
 
 
 @settings(max_examples=40, deadline=None)
