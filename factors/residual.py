@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 
 class Expansion(NamedTuple):
-    """Second-order expansion of a negative log density: shapes (...), (..., d), (..., d, d)."""
+    """Second-order expansion of a negative log density: shapes (...), (..., s), (..., s, s), over
+    the s components that the residual depends on (its `support`)."""
 
     energy: Array
     gradient: Array
@@ -54,6 +55,15 @@ class Residual(ABC):
     def rows(self) -> int:
         """Number of components of the error."""
 
+    @property
+    def support(self) -> NDArray[np.intp]:
+        """Components of the concatenated variables that the residual depends on; all by default.
+
+        Expansions are given on these alone: an interaction of n people needs 2n positions out of
+        a variable of 4n.
+        """
+        return np.arange(sum(self.dims))
+
     @abstractmethod
     def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
         """Error (..., rows) and one Jacobian (..., rows, dims[i]) per variable."""
@@ -65,12 +75,12 @@ class Residual(ABC):
     def energy(self, *x: Array) -> Array:
         """−log φ, shape (...)."""
         e = self.error(*x)
-        return 0.5 * np.einsum("...i,...i->...", e, e)
+        return np.asarray(0.5 * np.einsum("...i,...i->...", e, e))
 
     def gauss_newton(self, *x: Array) -> Expansion:
         """Expansion that drops the curvature of the residual: positive semidefinite."""
         e, blocks = self.linearize(*x)
-        J = np.concatenate(blocks, axis=-1)
+        J = np.concatenate(blocks, axis=-1)[..., self.support]
         Jt = np.swapaxes(J, -1, -2)
         energy = 0.5 * np.einsum("...i,...i->...", e, e)
         return Expansion(energy, (Jt @ e[..., None])[..., 0], Jt @ J)
@@ -123,12 +133,12 @@ class Linear(Residual):
     log_normalizer: float = 0.0
 
     @cached_property
-    def dims(self) -> tuple[int, ...]:  # type: ignore[override]
+    def dims(self) -> tuple[int, ...]:
         return tuple(a.shape[1] for a in self.A)
 
     @property
     def rows(self) -> int:
-        return self.A[0].shape[0]
+        return len(self.A[0])
 
     def error(self, *x: Array) -> Array:
         terms = [xi @ a.T for a, xi in zip(self.A, x, strict=True)]
@@ -147,8 +157,9 @@ class Linear(Residual):
         self._check_keys(keys)
         if len(keys) > 3:
             return super().on(*keys)
-        blocks = [part for key, a in zip(keys, self.A, strict=True) for part in (key, a)]
-        factor = gtsam.JacobianFactor(*blocks, self.b, gtsam.noiseModel.Unit.Create(self.rows))
+        parts: list[Any] = [part for pair in zip(keys, self.A, strict=True) for part in pair]
+        parts += [self.b, gtsam.noiseModel.Unit.Create(self.rows)]
+        factor = gtsam.JacobianFactor(*parts)
         origin = gtsam.Values()  # without it the container reports error 0 and never shifts
         for key, size in zip(keys, self.dims, strict=True):
             origin.insert(key, np.zeros(size))
@@ -172,7 +183,7 @@ def whitener(covariance: Any, name: str = "covariance") -> Array:
         L = np.linalg.cholesky(S)
     except np.linalg.LinAlgError:
         raise ValueError(f"{name} must be positive definite, got {S.tolist()}") from None
-    return np.asarray(np.linalg.inv(L))
+    return np.tril(np.linalg.inv(L))  # inv pivots, which leaves rounding above the diagonal
 
 
 def log_gaussian_normalizer(W: Array) -> float:

@@ -1,0 +1,125 @@
+"""Gaussian-process priors over trajectories, as factors between consecutive states.
+
+A state is m positions, then m velocities. Both processes are Markov in that state, so the exact
+prior of a whole trajectory is a product over neighbours.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from factors.residual import Array, Linear, log_gaussian_normalizer, whitener
+
+
+class GPPrior(Linear):
+    r"""White-noise-on-acceleration (WNOA) prior between consecutive states.
+
+    e = x_{k+1} − Phi(dt) x_k,  e ~ N(0, Q(dt)),  x = (p, v), constant velocity on average.
+
+    Args:
+        dt: Time between the two states [s].
+        Qc: Power spectral density of the acceleration, shape (m, m) [m²/s³].
+
+    Raises:
+        ValueError: dt is not positive, or Qc is not symmetric positive definite.
+
+    Reference:
+        Barfoot, Tong, Särkkä, RSS 2014.
+    """
+
+    dt: float
+    Qc: Array
+
+    def __init__(self, dt: float, Qc: Array) -> None:
+        if not (np.isfinite(dt) and dt > 0):
+            raise ValueError(f"dt must be positive, got {dt}")
+        W = np.kron(whitener(_time_covariance(dt)), whitener(Qc, "Qc"))
+        m = len(np.atleast_2d(Qc))
+        super().__init__((-W @ transition(dt, m), W), np.zeros(2 * m), log_gaussian_normalizer(W))
+        object.__setattr__(self, "dt", float(dt))
+        object.__setattr__(self, "Qc", np.atleast_2d(np.asarray(Qc, dtype=float)))
+
+    @cached_property
+    def Q(self) -> Array:
+        """Covariance of e, shape (2m, 2m)."""
+        return np.kron(_time_covariance(self.dt), self.Qc)
+
+    def interpolate(self, tau: float) -> tuple[Array, Array]:
+        r"""Λ, Ψ, each (2m, 2m), of the conditional mean x(t_k + τ) = Λ x_k + Ψ x_{k+1}.
+
+        Args:
+            tau: Time after the first state, 0 ≤ tau ≤ dt [s].
+
+        Raises:
+            ValueError: tau lies outside the interval.
+        """
+        if not 0 <= tau <= self.dt:
+            raise ValueError(f"tau must lie in [0, {self.dt}], got {tau}")
+        m = len(self.Qc)
+        # Λ and Ψ do not depend on Qc, only on time: the kron with the identity keeps them exact.
+        Psi_t = (
+            _time_covariance(tau)
+            @ transition(self.dt - tau, 1).T
+            @ np.linalg.inv(_time_covariance(self.dt))
+        )
+        Lambda_t = transition(tau, 1) - Psi_t @ transition(self.dt, 1)
+        return np.kron(Lambda_t, np.eye(m)), np.kron(Psi_t, np.eye(m))
+
+
+class MaternPrior(Linear):
+    r"""Matérn-3/2 process around a mean trajectory, between consecutive states.
+
+    d = x − mean,  d_{k+1} − A d_k ~ N(0, S − A S Aᵀ),  S = diag(sigma², 3 sigma²/length²): the
+    deviation is stationary with covariance sigma² (1 + √3|t|/length) exp(−√3|t|/length), so sigma
+    is the width of the corridor around the mean at every time.
+
+    Args:
+        mean: Rows of the mean trajectory, shape (S + 1, 2m): positions [m], velocities [m/s].
+        dt: Time between two states [s].
+        sigma: Standard deviation of the deviation in position [m].
+        length: Its correlation time [s].
+
+    Raises:
+        ValueError: dt, sigma or length is not positive.
+
+    Reference:
+        Hartikainen and Särkkä, MLSP 2010, on Matérn covariances as state-space models.
+    """
+
+    def __init__(self, mean: Array, dt: float, sigma: float, length: float) -> None:
+        for name, value in (("dt", dt), ("sigma", sigma), ("length", length)):
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {value}")
+        m = mean.shape[-1] // 2
+        rate = np.sqrt(3) / length
+        A_t = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
+        S_t = np.diag([sigma**2, (rate * sigma) ** 2])
+        W = np.kron(whitener(S_t - A_t @ S_t @ A_t.T), np.eye(m))
+        A = np.kron(A_t, np.eye(m))
+        b = (mean[1:] - mean[:-1] @ A.T) @ W.T
+        super().__init__((-W @ A, W), b, log_gaussian_normalizer(W))
+
+    @staticmethod
+    def first(mean: Array, sigma: float, length: float) -> Linear:
+        """The stationary prior of the first state; `mean` has shape (2m,)."""
+        m = mean.shape[-1] // 2
+        scale = np.repeat([sigma, np.sqrt(3) / length * sigma], m)
+        return gaussian(mean, np.diag(scale**2))
+
+
+def gaussian(mean: Array, covariance: Array) -> Linear:
+    """N(mean, covariance) of one variable; `mean` has shape (d,), or (S, d) where it differs by
+    step."""
+    W = whitener(covariance)
+    return Linear((W,), np.asarray(mean, dtype=float) @ W.T, log_gaussian_normalizer(W))
+
+
+def transition(dt: float, m: int) -> Array:
+    """Phi(dt) = [[I, dt I], [0, I]] of m positions and m velocities."""
+    return np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(m))
+
+
+def _time_covariance(dt: float) -> Array:
+    return np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

@@ -1,0 +1,88 @@
+"""ψ_int: what it is worth for two bodies to keep apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from factors.pairwise import PairPotential
+from factors.residual import Array, Expansion
+
+
+@dataclass(frozen=True, eq=False)
+class Interaction(PairPotential):
+    r"""ψ(Δ) = (1 − alpha exp(−‖Δ‖²/(2 h_c²)))^weight.
+
+    As a whitened error it is √(−2 log ψ), which is smooth away from contact and has the right
+    energy everywhere, so that Gauss–Newton solvers may use it; its true Hessian is indefinite.
+
+    Args:
+        alpha: Strength in [0, 1]; 1 makes contact impossible (ψ = 0, energy inf).
+        h_c: Length [m].
+        weight: Exponent of the potential, dt/t_ref.
+        variance: Of the separation, isotropic [m²], added to h_c²: the uncertainty of a
+            prediction. Broadcasts against the pairs (..., P); a leading step axis is sliced by
+            `at`.
+
+    Raises:
+        ValueError: alpha outside [0, 1], h_c or weight not positive, a negative variance.
+
+    Reference:
+        Trautman and Krause, IROS 2010, eq. 5; in nats it is at most −log(1 − alpha).
+    """
+
+    alpha: float = 0.99
+    h_c: float = 0.36
+    weight: float = 1.0
+    variance: Array | float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.alpha <= 1:
+            raise ValueError(f"alpha must lie in [0, 1], got {self.alpha}")
+        for name in ("h_c", "weight"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {value}")
+        if not np.all(np.asarray(self.variance) >= 0):
+            raise ValueError("variance must not be negative")
+
+    def at(self, step: int) -> Self:
+        stepped = isinstance(self.variance, np.ndarray) and self.variance.ndim > 1
+        return replace(self, variance=self.variance[step]) if stepped else self  # type: ignore[index]
+
+    @property
+    def _s2(self) -> Array:
+        return np.asarray(self.h_c**2 + self.variance)
+
+    def energy(self, delta: Array) -> Array:
+        q = 0.5 * (delta**2).sum(-1) / self._s2
+        with np.errstate(divide="ignore"):  # alpha = 1 at contact: energy inf, as it should be
+            return np.asarray(-self.weight * np.log1p(-self.alpha * np.exp(-q)))
+
+    def linearize(self, delta: Array) -> tuple[Array, Array]:
+        q = 0.5 * (delta**2).sum(-1) / self._s2
+        u = self.alpha * np.exp(-q)
+        # e = √(2u) s with s = √(−log(1 − u)/u), s → 1: no 0/0 where u underflows.
+        small = u < 1e-8
+        safe = np.where(small, 0.5, np.minimum(u, 1 - 1e-16))
+        s = np.where(small, 1 + 0.25 * u, np.sqrt(-np.log1p(-safe) / safe))
+        root = np.sqrt(2 * self.weight * self.alpha) * np.exp(-0.5 * q)
+        slope = -0.5 * root / (np.maximum(1 - u, 1e-16) * s)
+        e = np.sqrt(2 * self.energy(delta))
+        return np.where(small, root * s, e), (slope / self._s2)[..., None] * delta
+
+    def expand(self, delta: Array) -> Expansion:
+        inverse = 1 / self._s2
+        q = 0.5 * (delta**2).sum(-1) * inverse
+        u = self.alpha * np.exp(-q)
+        rest = np.maximum(1 - u, 1e-16)
+        first = -self.weight * u / rest * inverse
+        second = self.weight * u / rest**2 * inverse**2
+        H = (second[..., None, None] * delta[..., :, None]) * delta[..., None, :]
+        axis = np.arange(delta.shape[-1])
+        H[..., axis, axis] += first[..., None]
+        with np.errstate(divide="ignore"):
+            energy = -self.weight * np.log1p(-u)
+        return Expansion(energy, first[..., None] * delta, H)
