@@ -37,7 +37,8 @@ def matern(times: Array, sigma: float, length: float, nu: float = 1.5) -> Array:
         raise ValueError(f"nu must be one of {list(polynomials)}, got {nu}")
     times = np.asarray(times, dtype=float)
     a = np.sqrt(2 * nu) / length * np.abs(times[:, None] - times[None, :])
-    return sigma**2 * np.polynomial.polynomial.polyval(a, polynomials[nu]) * np.exp(-a)
+    shape = np.polynomial.polynomial.polyval(a, polynomials[nu])
+    return np.asarray(sigma**2 * shape * np.exp(-a))
 
 
 def linear_kernel(times: Array, sigma: float, slope: float, center: float = 0.0) -> Array:
@@ -63,7 +64,7 @@ def linear_kernel(times: Array, sigma: float, slope: float, center: float = 0.0)
     """
     _check_positive(sigma=sigma, slope=slope)
     t = np.asarray(times, dtype=float) - center
-    return sigma**2 + slope**2 * np.multiply.outer(t, t)
+    return np.asarray(sigma**2 + slope**2 * np.outer(t, t))
 
 
 def _check_positive(**values: float) -> None:

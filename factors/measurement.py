@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from factors.gp_prior import GPPrior
+from factors.gp_prior import GPPrior, transition
 from factors.residual import Array, Linear, log_gaussian_normalizer, whitener
 
 
@@ -82,8 +82,9 @@ def interpolated_measurement(
 ) -> Linear:
     r"""A measurement with its own time stamp, between the states x_k and x_{k+1}.
 
-    z = H (Λ x_k + Ψ x_{k+1}) + noise: the process between two states is replaced by its mean
-    given them, whose variance, at most Qc dt³/192, is left out as in GPMP2.
+    z = H x(t_k + τ) + noise, and x(t_k + τ) ~ N(Λ x_k + Ψ x_{k+1}, P(τ)) given the two states, so
+    e = W (H Λ x_k + H Ψ x_{k+1} − z) with WᵀW = (covariance + H P Hᵀ)⁻¹: exact for one
+    measurement an interval; what several in one interval have in common counts as independent.
 
     Args:
         prior: The process between the two states.
@@ -96,9 +97,12 @@ def interpolated_measurement(
         ValueError: See `measurement`; or tau lies outside the interval.
 
     Reference:
-        Mukadam et al., IJRR 2018, section 4.2 (Λ, Ψ).
+        Barfoot, Tong, Särkkä, RSS 2014, section III-D, for Λ, Ψ and P.
     """
     dim = prior.dims[0]
     m = dim // 2
     H = np.eye(m, dim, k=0 if quantity == "position" else m)
-    return measurement(tuple(H @ part for part in prior.interpolate(tau)), z, covariance)
+    Lambda, Psi = prior.interpolate(tau)
+    # P = Q(τ) − Ψ Q(dt) Ψᵀ, with Q(τ) = Ψ Q(dt) Phi(τ − dt)ᵀ from the definition of Ψ.
+    P = Psi @ prior.Q @ (transition(tau - prior.dt, m) - Psi).T
+    return measurement((H @ Lambda, H @ Psi), z, np.atleast_2d(covariance) + H @ P @ H.T)
