@@ -1,0 +1,330 @@
+"""What a scenario may say. Every rule is stated once, here, for files and for Python alike.
+
+A mistake is named by its path in a scenario file (`people[2].track[5]`), also when the scenario
+was built in Python: one spelling for one thing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.residual import whitener
+from fgplan.errors import Mistake, ScenarioError
+from fgplan.scenario import FieldOfView, GivenPlan, Level, Scenario, Track
+
+Array = NDArray[np.float64]
+
+FARTHEST = 1e7
+"""Largest coordinate [m]: beyond it a float no longer resolves a robot."""
+LATEST = 1e11
+"""Largest time stamp [s], on any clock in use."""
+MOST_STEPS = 2000
+MOST_PLANS = 100
+
+
+@dataclass(frozen=True)
+class _Range:
+    """Numbers from low to high; an end with a tiny or huge value stands for an open one."""
+
+    low: float
+    high: float
+    mend: str
+    infinite: bool = False
+
+    def allows(self, value: object) -> bool:
+        if isinstance(value, bool | np.bool_) or not isinstance(
+            value, int | float | np.integer | np.floating
+        ):
+            return False
+        return bool(self.low <= value <= self.high or (self.infinite and value == np.inf))
+
+
+# 1e±15: what is squared and inverted later must stay finite.
+_POSITIVE = _Range(1e-15, 1e15, "give a finite number above 0")
+_POSITIVE_OR_INF = _Range(1e-15, 1e15, "give a number above 0, or inf", infinite=True)
+_NOT_NEGATIVE = _Range(0, 1e15, "give a finite number, 0 or above")
+_NOT_NEGATIVE_OR_INF = _Range(0, 1e15, "give a number, 0 or above, or inf", infinite=True)
+_FINITE = _Range(-1e15, 1e15, "give a finite number")
+_SPEED = _Range(1e-3, 100, "give a speed above 0, at most 100 m/s")
+_CLOCK = _Range(-LATEST, LATEST, "give a finite time in seconds")
+
+_DENSITY = {
+    "dt": _POSITIVE,
+    "horizon": _POSITIVE,
+    "t_ref": _POSITIVE,
+    "Qc_robot": _POSITIVE,
+    "Qc_people": _POSITIVE,
+    "sigma_track": _POSITIVE,
+    "sigma_speed": _POSITIVE,
+    "alpha": _Range(0, 1, "give a number from 0 to 1"),
+    "h_c": _POSITIVE,
+    "contact_sigma": _POSITIVE_OR_INF,
+    "contact_margin": _NOT_NEGATIVE,
+    "obstacle_sigma": _POSITIVE_OR_INF,
+    "obstacle_margin": _NOT_NEGATIVE,
+    "limit_sigma": _POSITIVE_OR_INF,
+    "beta": _NOT_NEGATIVE,
+}
+_ROBOT = {
+    "radius": _POSITIVE,
+    "preferred_speed": _SPEED,
+    "max_speed": _SPEED,
+    "max_acceleration": _Range(1e-3, 1e4, "give an acceleration above 0, at most 1e4 m/s²"),
+}
+_LEVEL = {"sigma": _NOT_NEGATIVE_OR_INF, "length": _POSITIVE, "h": _POSITIVE}
+_FIELD_OF_VIEW = {
+    "range": _POSITIVE_OR_INF,
+    # A little above 2π, so that a rounded 6.284 is all round as well.
+    "angle": _Range(1e-15, 6.29, "give the full opening angle in radians, above 0, at most 2π"),
+}
+
+
+def validate(scenario: Scenario) -> None:
+    """Refuse a scenario that cannot be planned, whatever its source.
+
+    Where the map leaves no room for the robot is not checked here but by the global planner, which
+    may still mend it; `placement` says it at once.
+
+    Raises:
+        ScenarioError: it holds a number that is not finite, a shape that is wrong, a covariance
+            that is not positive definite, a contradiction, ...; all mistakes are named.
+    """
+    mistakes = tuple(find_mistakes(scenario))
+    if mistakes:
+        raise ScenarioError(str(scenario.name), mistakes)
+
+
+def find_mistakes(scenario: Scenario) -> Iterable[Mistake]:
+    """Yields every mistake of a scenario, in the order of a scenario file."""
+    yield from _robot(scenario)
+    if scenario.goal is not None:
+        yield from _points("goal.position", scenario.goal, (2,))[1]
+    yield from _plans(scenario)
+    yield from _density(scenario)
+    yield from _crowd(scenario)
+    if scenario.field_of_view is not None:
+        yield from _numbers("field_of_view", scenario.field_of_view, _FIELD_OF_VIEW)
+        yield from _occlusion(scenario.field_of_view)
+    yield from _levels(scenario.levels)
+
+
+def placement(scenario: Scenario) -> Iterable[Mistake]:
+    """Yields a mistake for a start or goal that lies outside the map or inside an obstacle."""
+    grid = scenario.grid
+    if grid is None:
+        return
+    for path, point in (
+        ("robot.position", scenario.robot.position),
+        ("goal.position", scenario.goal),
+    ):
+        if point is None or np.shape(point) != (2,) or not np.all(np.isfinite(point)):
+            continue
+        where = np.asarray(point, dtype=float)[None]
+        if not grid.contains(where)[0]:
+            xmin, ymin, xmax, ymax = grid.bounds
+            mend = f"lies outside the map, x {xmin:g} to {xmax:g}, y {ymin:g} to {ymax:g}"
+            yield Mistake(path, _plain(point), mend)
+        elif grid.distance(where)[0] <= 0:
+            yield Mistake(path, _plain(point), "lies inside an obstacle of the map; move it")
+
+
+def _robot(scenario: Scenario) -> Iterable[Mistake]:
+    robot = scenario.robot
+    yield from _points("robot.position", robot.position, (2,))[1]
+    yield from _points("robot.velocity", robot.velocity, (2,))[1]
+    if robot.heading is not None and not _FINITE.allows(robot.heading):
+        yield Mistake("robot.heading", robot.heading, "give a finite angle in radians")
+    wrong = list(_numbers("robot", robot, _ROBOT))
+    yield from wrong
+    if not wrong and robot.preferred_speed > robot.max_speed:
+        mend = f"give at most robot.max_speed, which is {robot.max_speed:g}"
+        yield Mistake("robot.preferred_speed", robot.preferred_speed, mend)
+    if robot.covariance is not None:
+        yield from _covariance("robot.covariance", robot.covariance)
+
+
+def _covariance(path: str, value: Any) -> Iterable[Mistake]:
+    matrix, wrong = _points(path, value, (4, 4), limit=1e30)
+    if matrix is None:
+        yield from wrong
+        return
+    try:
+        W = whitener(matrix)
+    except ValueError as error:
+        yield Mistake(path, _plain(value), f"give {str(error).split('must be ')[-1].split(',')[0]}")
+        return
+    if not np.abs(W).max() < 1e15:
+        yield Mistake(path, _plain(value), "give a matrix that is not nearly singular")
+
+
+def _plans(scenario: Scenario) -> Iterable[Mistake]:
+    plans, count = scenario.plans, scenario.count
+    if isinstance(count, bool) or not isinstance(count, int | np.integer):
+        yield Mistake("plans.count", count, "give a whole number")
+    elif not 0 <= count <= MOST_PLANS:
+        yield Mistake("plans.count", count, f"give a whole number from 0 to {MOST_PLANS}")
+    elif count == 0 and not plans and scenario.goal is not None:
+        mend = "contradicts the goal: ask for one plan or more, give plans, or drop the goal"
+        yield Mistake("plans.count", count, mend)
+    for i, plan in enumerate(plans):
+        yield from _given(f"plans.given[{i}]", plan)
+    yield from _distinct([plan.label for plan in plans], "plans.given[{}].label")
+    weights = [plan.weight for plan in plans]
+    if weights and all(w == 0 for w in weights):
+        yield Mistake("plans.given", weights, "give at least one plan a weight above 0")
+
+
+def _given(path: str, plan: GivenPlan) -> Iterable[Mistake]:
+    vertices, wrong = _points(f"{path}.path", plan.path, (None, 2))
+    yield from wrong
+    if vertices is not None and len(vertices) < 2:
+        yield Mistake(f"{path}.path", _plain(vertices), "give two vertices or more")
+    if plan.weight is not None and not _NOT_NEGATIVE.allows(plan.weight):
+        yield Mistake(f"{path}.weight", plan.weight, _NOT_NEGATIVE.mend)
+
+
+def _density(scenario: Scenario) -> Iterable[Mistake]:
+    density = scenario.density
+    wrong = list(_numbers("density", density, _DENSITY))
+    yield from wrong
+    if any(mistake.path in ("density.dt", "density.horizon") for mistake in wrong):
+        return
+    if density.horizon < density.dt:
+        mend = f"give at least density.dt, which is {density.dt:g}"
+        yield Mistake("density.horizon", density.horizon, mend)
+    elif density.horizon / density.dt > MOST_STEPS:
+        mend = f"give at least horizon/{MOST_STEPS} = {density.horizon / MOST_STEPS:g}"
+        yield Mistake("density.dt", density.dt, mend)
+
+
+def _crowd(scenario: Scenario) -> Iterable[Mistake]:
+    for path, value, choices in (
+        ("crowd.mode", scenario.crowd, ("joint", "predicted")),
+        ("crowd.pairs", scenario.pairs, ("all", "robot")),
+    ):
+        if value not in choices:
+            yield Mistake(path, value, f"give {choices[0]!r} or {choices[1]!r}")
+    if not _CLOCK.allows(scenario.now):
+        yield Mistake("crowd.now", scenario.now, _CLOCK.mend)
+    for i, track in enumerate(scenario.tracks):
+        yield from _track(f"people[{i}]", track, scenario.now)
+    yield from _distinct([track.identity for track in scenario.tracks], "people[{}].id")
+
+
+def _track(path: str, track: Track, now: float) -> Iterable[Mistake]:
+    if not _POSITIVE.allows(track.radius):
+        yield Mistake(f"{path}.radius", track.radius, _POSITIVE.mend)
+    path = f"{path}.track"
+    times, wrong = _points(path, track.times, (None,), limit=LATEST)
+    positions, wrong_too = _points(path, track.positions, (None, 2))
+    if times is not None and positions is not None and len(times) == len(positions):
+        if len(times) == 0:
+            yield Mistake(path, [], "give at least one detection [t, x, y]")
+        elif not (times[-1] <= now and np.all(times[1:] > times[:-1])):
+            yield from _stamps(path, np.column_stack([times, positions]), now)
+        return
+    rows = _rows(track)
+    if rows is None:
+        yield Mistake(path, None, "give times of shape (m,) and positions of shape (m, 2)")
+        return
+    for mistake in {m.path: m for m in (*wrong, *wrong_too)}.values():
+        k = int(mistake.path[len(path) + 1 : -1])
+        yield Mistake(mistake.path, rows[k].tolist(), mistake.mend)
+    yield from _stamps(path, rows, now)
+
+
+def _rows(track: Track) -> Array | None:
+    """Rows (t, x, y), numbers or not finite; None where the shapes do not fit."""
+    try:
+        times = np.asarray(track.times, dtype=float)
+        positions = np.asarray(track.positions, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if times.ndim != 1 or positions.shape != (len(times), 2):
+        return None
+    return np.column_stack([times, positions])
+
+
+def _stamps(path: str, rows: Array, now: float) -> Iterable[Mistake]:
+    """Time stamps that do not increase or come after now; those that are no numbers are skipped."""
+    before = -np.inf
+    for k, row in enumerate(rows):
+        if row[0] > now:
+            mend = f"comes after crowd.now = {now:g}; drop it or move now"
+            yield Mistake(f"{path}[{k}]", row.tolist(), mend)
+        elif row[0] <= before:
+            mend = f"comes no later than the time before, {before:g}; times must increase"
+            yield Mistake(f"{path}[{k}]", row.tolist(), mend)
+        before = max(before, row[0]) if np.isfinite(row[0]) else before
+
+
+def _occlusion(view: FieldOfView) -> Iterable[Mistake]:
+    if not isinstance(view.occlusion, bool | np.bool_):
+        yield Mistake("field_of_view.occlusion", view.occlusion, "give true or false")
+
+
+def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
+    if not levels:
+        yield Mistake("levels", [], "give at least one level")
+    for i, level in enumerate(levels):
+        yield from _numbers(f"levels[{i}]", level, _LEVEL)
+    if levels and levels[0].sigma == np.inf:
+        mend = "give a finite number: nothing else says where the first level is"
+        yield Mistake("levels[0].sigma", levels[0].sigma, mend)
+    yield from _distinct([level.name for level in levels], "levels[{}].name")
+
+
+def _numbers(path: str, owner: object, ranges: dict[str, _Range]) -> Iterable[Mistake]:
+    for name, allowed in ranges.items():
+        value = getattr(owner, name)
+        if value is None and name == "t_ref":
+            continue
+        if not allowed.allows(value):
+            yield Mistake(f"{path}.{name}", _plain(value), allowed.mend)
+
+
+def _points(
+    path: str, value: Any, shape: tuple[int | None, ...], limit: float = FARTHEST
+) -> tuple[Array | None, list[Mistake]]:
+    """The value as an array, or None and why not: shape, or numbers that are not finite."""
+    named = "(" + ", ".join("N" if size is None else str(size) for size in shape) + ")"
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None, [Mistake(path, value, f"give numbers, shape {named}")]
+    if array.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        mend = f"has shape {array.shape}; give shape {named}"
+        return None, [Mistake(path, _plain(value), mend)]
+    fine = np.abs(array) <= limit  # false for NaN as well
+    if fine.all():
+        return array, []
+    mend = f"give finite numbers, at most {limit:g} in size"
+    if shape[0] is not None:
+        return None, [Mistake(path, _plain(value), mend)]
+    bad = ~fine.reshape(len(array), -1).all(axis=1)
+    return None, [Mistake(f"{path}[{k}]", array[k].tolist(), mend) for k in np.flatnonzero(bad)]
+
+
+def _distinct(names: Sequence[object], path: str) -> Iterable[Mistake]:
+    """Names that are no names, or that another has already."""
+    counts = Counter(name for name in names if isinstance(name, str))
+    taken: set[str] = set()
+    for i, name in enumerate(names):
+        if not isinstance(name, str) or not name:
+            yield Mistake(path.format(i), name, "give a name")
+        elif counts[name] > 1 and name in taken:
+            yield Mistake(path.format(i), name, f"is also at {path.format(names.index(name))}")
+        else:
+            taken.add(name)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
