@@ -1,0 +1,383 @@
+"""Scenario files: TOML whose keys are the fields of `fgplan.scenario`; SI units, radians.
+
+pydantic checks the structure (keys and types), `fgplan.validation` the meaning, and the map is
+read in between. A mistake in one place does not hide those in another: what cannot be read is
+reported, replaced by numbers that are not finite (which nothing mistakes for a value), and the
+rest is checked all the same.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic_core import PydanticCustomError
+
+from fgplan.errors import MapError, Mistake, ScenarioError
+from fgplan.occupancy import OccupancyGrid
+from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
+from fgplan.validation import find_mistakes, placement
+
+Number = Annotated[float, Strict()]
+Whole = Annotated[int, Strict()]
+Flag = Annotated[bool, Strict()]
+Text = Annotated[str, Strict()]
+Point = tuple[Number, Number]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    def stated(self) -> dict[str, Any]:
+        """What the file says, without what it leaves at the defaults of `fgplan.scenario`."""
+        return {name: getattr(self, name) for name in self.model_fields_set}
+
+
+def _dt_or_number(value: object) -> object:
+    return None if value == "dt" else value
+
+
+def _sigmas_or_matrix(value: object) -> object:
+    """Four standard deviations are a diagonal covariance."""
+    if not isinstance(value, list) or any(isinstance(entry, list) for entry in value):
+        return value
+    if not all(isinstance(s, int | float) and not isinstance(s, bool) and s > 0 for s in value):
+        raise PydanticCustomError("sigmas", "give four standard deviations above 0, or 4 rows")
+    return np.diag(np.asarray(value, dtype=float) ** 2).tolist()
+
+
+class _Map(_Table):
+    file: Text | None = None
+    polygons: list[list[Point]] | None = None
+    bounds: tuple[Number, Number, Number, Number] | None = None
+    resolution: Number | None = None
+
+
+class _Robot(_Table):
+    position: Point
+    velocity: Point = (0.0, 0.0)
+    heading: Number = 0.0
+    covariance: Annotated[list[list[Number]], BeforeValidator(_sigmas_or_matrix)] = []
+    radius: Number = 0.0
+    preferred_speed: Number = 0.0
+    max_speed: Number = 0.0
+    max_acceleration: Number = 0.0
+
+
+class _Goal(_Table):
+    position: Point
+
+
+class _Given(_Table):
+    label: Text
+    path: list[Point]
+    weight: Number | None = None
+
+
+class _Plans(_Table):
+    count: Whole | None = None
+    given: list[_Given] = []
+
+
+class _Density(_Table):
+    dt: Number = 0.0
+    horizon: Number = 0.0
+    t_ref: Annotated[Number | None, BeforeValidator(_dt_or_number)] = None
+    Qc_robot: Number = 0.0
+    Qc_people: Number = 0.0
+    sigma_track: Number = 0.0
+    sigma_speed: Number = 0.0
+    alpha: Number = 0.0
+    h_c: Number = 0.0
+    contact_sigma: Number = 0.0
+    contact_margin: Number = 0.0
+    obstacle_sigma: Number = 0.0
+    obstacle_margin: Number = 0.0
+    limit_sigma: Number = 0.0
+    beta: Number = 0.0
+
+
+class _Crowd(_Table):
+    mode: Text = "joint"
+    pairs: Text = "all"
+    now: Number = 0.0
+
+
+class _Person(_Table):
+    id: Text
+    track: list[tuple[Number, Number, Number]]
+    radius: Number = 0.0
+
+
+class _FieldOfView(_Table):
+    range: Number = 0.0
+    angle: Number = 0.0
+    occlusion: Flag = True
+
+
+class _Level(_Table):
+    name: Text = ""
+    sigma: Number = 0.0
+    length: Number = 0.0
+    h: Number = 0.0
+
+
+class _File(_Table):
+    robot: _Robot
+    name: Text | None = None
+    map: _Map | None = None
+    goal: _Goal | None = None
+    plans: _Plans = Field(default_factory=_Plans)
+    density: _Density = Field(default_factory=_Density)
+    crowd: _Crowd = Field(default_factory=_Crowd)
+    people: list[_Person] = []
+    field_of_view: _FieldOfView | None = None
+    levels: list[_Level] | None = None
+
+
+_ROWS = {"track": (1, 3), "path": (1, 2), "polygons": (2, 2)}
+"""Lists of rows: how deep the rows are, and how long."""
+
+_UNREADABLE: dict[str, Any] = {
+    "position": [np.nan, np.nan],
+    "track": [[np.nan] * 3],
+    "path": [[np.nan, np.nan]] * 2,
+    "robot": {"position": [np.nan, np.nan]},
+}
+"""Stand-ins for required values that are missing or cannot be read."""
+
+_MENDS = {
+    "missing": "is missing; give it",
+    "float_type": "give a number",
+    "int_type": "give a whole number",
+    "string_type": 'give a text in "quotes"',
+    "bool_type": "give true or false",
+    "list_type": "give a list in [brackets]",
+    "tuple_type": "give a list in [brackets]",
+    "too_long": "has too many entries",
+    "model_type": "give a table",
+}
+
+
+def load(path: Path) -> Scenario:
+    """Read a scenario file; `data/scenarios/three_corridors_crowd.toml` explains every key.
+
+    Args:
+        path: The TOML file. The map's file is relative to it.
+
+    Raises:
+        ScenarioError: the file is missing, is not TOML, or says something that cannot be planned;
+            all mistakes are reported at once, those of its map among them.
+    """
+    raw = _read(path)
+    table, mistakes = _structure(raw)
+    reported = [mistake.path for mistake in mistakes]
+    unclear = any(known.startswith("map") for known in reported)
+    grid, wrong = _map(table.map, path.parent, unclear)
+    mistakes += wrong
+    scenario = _scenario(table, grid, path.stem)
+    for mistake in (*_goal(table), *find_mistakes(scenario), *placement(scenario)):
+        if not any(_overlap(mistake.path, known) for known in reported):
+            mistakes.append(mistake)
+    if mistakes:
+        raise ScenarioError(str(path), tuple(mistakes))
+    return scenario
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        ScenarioError: there is no such file, it is not TOML, or it is empty.
+    """
+    try:
+        text = path.read_bytes().decode()
+        raw = tomllib.loads(text)
+    except OSError as error:
+        mend = f"cannot be read: {error.strerror}"
+        raise ScenarioError(str(path), (Mistake("file", str(path), mend),)) from None
+    except UnicodeDecodeError as error:
+        mistake = Mistake(f"byte {error.start}", error.object[error.start], "write UTF-8")
+        raise ScenarioError(str(path), (mistake,)) from None
+    except tomllib.TOMLDecodeError as error:
+        number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else 0
+        lines = [*text.splitlines(), ""]
+        got = lines[number - 1] if 0 < number <= len(lines) else ""
+        mistake = Mistake(f"line {number or len(lines) - 1}", got, f"is not TOML: {error}")
+        raise ScenarioError(str(path), (mistake,)) from None
+    if not raw:
+        mend = "is empty; give at least [robot] with a position"
+        raise ScenarioError(str(path), (Mistake("file", str(path), mend),))
+    return raw
+
+
+def _structure(raw: Mapping[str, Any]) -> tuple[_File, list[Mistake]]:
+    """The tables with their types, and what had to be replaced on the way."""
+    raw = copy.deepcopy(dict(raw))
+    mistakes: list[Mistake] = []
+    while True:
+        try:
+            return _File.model_validate(raw), mistakes
+        except ValidationError as error:
+            # Every round replaces each value that is wrong by one that is not, from the inside
+            # out, so that there is an end. A missing key may follow from a value taken out.
+            known = [mistake.path for mistake in mistakes]
+            for issue in error.errors(include_url=False):
+                loc = issue["loc"]
+                mistake = _mistake(loc, issue)
+                if not any(_overlap(mistake.path, path) for path in known):
+                    mistakes.append(mistake)
+                _repair(raw, loc, issue["type"])
+
+
+def _mistake(loc: tuple[int | str, ...], issue: Mapping[str, Any]) -> Mistake:
+    kind = issue["type"]
+    if kind == "extra_forbidden":
+        return Mistake(_spell(loc), issue["input"], _nearest(loc))
+    if kind == "missing" and isinstance(loc[-1], int):
+        return Mistake(_spell(loc[:-1]), issue["input"], "has too few entries")
+    value = None if kind == "missing" else issue["input"]
+    return Mistake(_spell(loc), value, _MENDS.get(kind, issue["msg"]))
+
+
+def _nearest(loc: tuple[int | str, ...]) -> str:
+    """How to mend an unknown key."""
+    model: type[BaseModel] = _File
+    for part in loc[:-1]:
+        if isinstance(part, str):
+            model = _table_of(model.model_fields[part].annotation)
+    valid = sorted(model.model_fields)
+    close = get_close_matches(str(loc[-1]), valid, n=1)
+    if close:
+        return f"is not a key; did you mean {close[0]!r}?"
+    return f"is not a key; the keys here are {', '.join(valid)}"
+
+
+def _table_of(annotation: Any) -> type[BaseModel]:
+    """The table inside an annotation such as `list[_Person] | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    inner = [arg for arg in get_args(annotation) if arg is not type(None)]
+    return _table_of(inner[0])
+
+
+def _repair(raw: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> None:
+    """Take out what cannot be read, or put what nothing mistakes for a value in its place."""
+    last = max(i for i, part in enumerate(loc) if isinstance(part, str))
+    key = str(loc[last])
+    owner: Any = raw
+    for part in loc[:last]:
+        owner = owner[part]
+    depth, width = _ROWS.get(key, (0, 0))
+    if depth and len(loc) > last + depth:
+        rows = owner[key]
+        for part in loc[last + 1 : last + depth]:
+            rows = rows[part]
+        rows[loc[last + depth]] = [np.nan] * width
+    elif kind == "missing" and len(loc) == last + 1:
+        # A name no other has.
+        owner[key] = copy.deepcopy(_UNREADABLE.get(key, f"unnamed {_spell(loc)}"))
+    elif key in ("people", "given", "levels") and len(loc) > last + 1:
+        owner[key][loc[last + 1]] = {}
+    else:
+        owner.pop(key, None)
+
+
+def _map(
+    table: _Map | None, folder: Path, unclear: bool
+) -> tuple[OccupancyGrid | None, list[Mistake]]:
+    """The grid, or what is wrong with it; `unclear` when the table itself has mistakes."""
+    if table is None:
+        return None, []
+    drawn = [key for key in ("polygons", "bounds", "resolution") if key in table.model_fields_set]
+    if table.file is not None:
+        if drawn:
+            mend = f"contradicts map.{', map.'.join(drawn)}; keep the file or the polygons"
+            return None, [Mistake("map.file", table.file, mend)]
+        try:
+            return OccupancyGrid.load(folder / table.file), []
+        except MapError as error:
+            return None, [Mistake("map.file", table.file, str(error))]
+    missing = [key for key in ("polygons", "bounds", "resolution") if key not in drawn]
+    if missing and unclear:
+        return None, []
+    if missing:
+        mend = "is missing; give file, or polygons with bounds and resolution"
+        return None, [Mistake(f"map.{key}", None, mend) for key in missing]
+    try:
+        shapes = [np.asarray(polygon, dtype=float) for polygon in table.polygons or []]
+        return OccupancyGrid.from_polygons(shapes, table.bounds, table.resolution), []
+    except MapError as error:
+        return None, [Mistake("map.polygons", table.polygons, str(error))]
+
+
+def _goal(table: _File) -> Sequence[Mistake]:
+    """A file that asks for global plans and names no goal contradicts itself."""
+    count = table.plans.count
+    if table.goal is None and count is not None and count > 0:
+        mend = "asks for global plans without a goal; give [goal] position, or count = 0"
+        return (Mistake("plans.count", count, mend),)
+    return ()
+
+
+def _scenario(table: _File, grid: OccupancyGrid | None, stem: str) -> Scenario:
+    """The scenario that the tables describe."""
+    robot = table.robot.stated()
+    for name in {"position", "velocity", "covariance"} & robot.keys():
+        robot[name] = _array(robot[name])
+    optional: dict[str, Any] = {}
+    if table.plans.count is not None:
+        optional["count"] = table.plans.count
+    elif table.goal is None:
+        optional["count"] = 0
+    if table.levels is not None:
+        optional["levels"] = tuple(Level(**level.stated()) for level in table.levels)
+    if table.name is not None:
+        optional["name"] = table.name
+    view = table.field_of_view
+    return Scenario(
+        robot=Robot(**robot),
+        goal=None if table.goal is None else _array(table.goal.position),
+        grid=grid,
+        tracks=tuple(_track(person) for person in table.people),
+        now=table.crowd.now,
+        field_of_view=None if view is None else FieldOfView(**view.stated()),
+        plans=tuple(GivenPlan(g.label, _array(g.path), g.weight) for g in table.plans.given),
+        crowd=table.crowd.mode,  # type: ignore[arg-type]  # find_mistakes checks the word
+        pairs=table.crowd.pairs,  # type: ignore[arg-type]
+        density=Density(**table.density.stated()),
+        **{"name": stem, **optional},
+    )
+
+
+def _track(person: _Person) -> Track:
+    rows = np.asarray(person.track, dtype=float).reshape(-1, 3)
+    radius = {name: value for name, value in person.stated().items() if name == "radius"}
+    return Track(person.id, rows[:, 0], rows[:, 1:], **radius)
+
+
+def _array(value: Any) -> Any:
+    """As an array; rows of different lengths stay as they are, for `find_mistakes` to name."""
+    try:
+        return np.asarray(value, dtype=float)
+    except ValueError:
+        return value
+
+
+def _spell(loc: Sequence[int | str]) -> str:
+    """("people", 2, "track", 5) as people[2].track[5]."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+    return "".join(parts).removeprefix(".")
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Whether one path names the same thing as the other, or a part of it."""
+    short, long = sorted((one, other), key=len)
+    return long.startswith(short) and long[len(short) :][:1] in ("", ".", "[")
