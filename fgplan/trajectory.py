@@ -64,29 +64,42 @@ class Trajectory:
 
         Outside the time grid the first or last velocity is held.
         """
-        t = np.asarray(times, dtype=float)
-        if len(self.times) == 1:
-            ahead = (t - self.times[0])[..., None]
-            position = self.positions[0] + ahead * self.velocities[0]
-            return np.concatenate([position, np.broadcast_to(self.velocities[0], position.shape)], -1)
-        k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        dt = (self.times[k + 1] - self.times[k])[..., None]
-        inside = np.clip(t, self.times[0], self.times[-1])
-        s = (inside - self.times[k])[..., None] / dt
-        p0, p1 = self.positions[k], self.positions[k + 1]
-        m0, m1 = self.velocities[k] * dt, self.velocities[k + 1] * dt
-        position = (
-            (1 + 2 * s) * (1 - s) ** 2 * p0
-            + s * (1 - s) ** 2 * m0
-            + s**2 * (3 - 2 * s) * p1
-            - s**2 * (1 - s) * m1
-        )
-        velocity = (
-            6 * s * (s - 1) * (p0 - p1) + (1 - s) * (1 - 3 * s) * m0 + s * (3 * s - 2) * m1
-        ) / dt
-        position = position + (t - inside)[..., None] * velocity
+        position, velocity = hermite(self.times, self.positions, self.velocities, times)
         return np.concatenate([position, velocity], -1)
 
     def resampled(self, times: Array) -> Trajectory:
         """The same curve with states at other times."""
         return Trajectory.from_states(np.asarray(times, dtype=float), self.at(times))
+
+
+def hermite(times: Array, positions: Array, velocities: Array, at: Any) -> tuple[Array, Array]:
+    """Positions and velocities of cubic Hermite curves through states at `times`.
+
+    Args:
+        times: Shape (S,), increasing [s].
+        positions: Shape (S, ..., 2): any number of bodies at once [m].
+        velocities: The same shape [m/s].
+        at: Times to evaluate at, shape (Q,) or a number [s]. Outside the grid the first or last
+            velocity is held.
+    """
+    t = np.asarray(at, dtype=float)
+    trailing = (1,) * (positions.ndim - 1)
+    inside = np.clip(t, times[0], times[-1])
+    beyond = (t - inside).reshape(*t.shape, *trailing)
+    if len(times) == 1:
+        velocity = np.broadcast_to(velocities[0], (*t.shape, *velocities.shape[1:]))
+        return positions[0] + beyond * velocity, np.array(velocity)
+    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    dt = (times[k + 1] - times[k]).reshape(*t.shape, *trailing)
+    s = (inside - times[k]).reshape(*t.shape, *trailing) / dt
+    p0, p1 = positions[k], positions[k + 1]
+    m0, m1 = velocities[k] * dt, velocities[k + 1] * dt
+    position = (
+        (1 + 2 * s) * (1 - s) ** 2 * p0
+        + s * (1 - s) ** 2 * m0
+        + s**2 * (3 - 2 * s) * p1
+        - s**2 * (1 - s) * m1
+    )
+    rate = 6 * s * (s - 1) * (p0 - p1) + (1 - s) * (1 - 3 * s) * m0 + s * (3 * s - 2) * m1
+    velocity = rate / dt
+    return position + beyond * velocity, velocity

@@ -1,0 +1,42 @@
+"""A hypothesis: one global plan, its weight, and where the optimiser starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fgplan.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """An initial value for the optimiser: one guess of the robot's trajectory.
+
+    Args:
+        label: What the guess is: "plan", "wait", "left of p3", ...
+        robot: States at the time steps of the density.
+    """
+
+    label: str
+    robot: Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One global plan i of p(η_0) = Σ_i w_i p(η_0 | i).
+
+    Args:
+        label: Its name.
+        log_prior: log w_i, normalised over the hypotheses.
+        plan: The timed path, with states at the time steps of the density; None when no goal is
+            known (the plan is then the robot's prior alone).
+        cost: Cost to go J_i from where the robot is now to the goal [s].
+        starts: Initial values, at least one.
+        route: The untimed path, shape (N, 2) [m], for pictures; None when no goal is known.
+    """
+
+    label: str
+    log_prior: float
+    plan: Trajectory | None
+    cost: float
+    starts: tuple[Start, ...]
+    route: object = None

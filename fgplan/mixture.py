@@ -1,0 +1,179 @@
+"""What a plan is: a weighted mixture of solved hypotheses, one of them selected, and its action."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.safety import Check
+from fgplan.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One hypothesis, solved: its best local optimum, and the evidence it leaves.
+
+    Args:
+        label: Its name; hypotheses that ended in one optimum are joined with "+".
+        log_prior: log w_i, summed over the hypotheses merged here.
+        cost: Cost to go of its (best) global plan [s].
+        energy: −log p at the optimum, see `docs/conventions.md` [nats].
+        log_evidence: log Z_i by Laplace with the true Hessian, summed over the distinct optima
+            found; None where no optimum has a positive definite Hessian.
+        converged: Whether the optimum is a local minimum to tolerance.
+        stop: Why the solver stopped.
+        iterations: Linear systems solved, over all starts.
+        seconds: Share of the solver's time [s].
+        start: The start that led here.
+        optima: Number of distinct local optima found; with one, nothing says it is global.
+        check: The hard check.
+        robot: f^R.
+        crowd: f: people's planned (or predicted) trajectories, by name.
+        levels: η_l, by name; the fixed plan where the level has no width.
+        displacement: How far each person is moved from their own prediction, as the Mahalanobis
+            distance at the worst time step; 0 where people are held.
+        sides: On which side each person near the robot is passed: "left" or "right".
+        route: The global plan, shape (N, 2) [m]; None when no goal is known.
+    """
+
+    label: str
+    log_prior: float
+    cost: float
+    energy: float
+    log_evidence: float | None
+    converged: bool
+    stop: str
+    iterations: int
+    seconds: float
+    start: str
+    optima: int
+    check: Check
+    robot: Trajectory
+    crowd: dict[str, Trajectory]
+    levels: dict[str, Trajectory]
+    displacement: dict[str, float]
+    sides: dict[str, str]
+    route: Array | None
+
+    @property
+    def feasible(self) -> bool:
+        """Whether it passed the hard check."""
+        return self.check.feasible
+
+
+@dataclass(frozen=True, eq=False)
+class Action:
+    """What to do until the next plan.
+
+    Args:
+        kind: "follow" the selected plan, or "stop".
+        time: When the state below is to be reached, from now [s].
+        position: Shape (2,) [m].
+        velocity: Shape (2,) [m/s].
+        safe: Whether the trajectory behind it passed the hard check.
+        reason: In words.
+    """
+
+    kind: str
+    time: float
+    position: Array
+    velocity: Array
+    safe: bool
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """All hypotheses, solved and weighed.
+
+    Args:
+        name: Of the scenario.
+        components: In the order of their score, best first.
+        probability_height: softmax(log w_i − energy_i), shape (K,).
+        probability_mass: softmax(log w_i + log Z_i), shape (K,); 0 where there is no evidence.
+        selected: Index of the component that is followed; None when none is safe.
+        trajectory: What will be driven: the selected plan, or the stop.
+        action: Its next step.
+        timing: Seconds spent, by stage.
+        warnings: What to know before trusting it.
+    """
+
+    name: str
+    components: tuple[Component, ...]
+    probability_height: Array
+    probability_mass: Array
+    selected: int | None
+    trajectory: Trajectory
+    action: Action
+    timing: dict[str, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def best(self) -> Component | None:
+        """The selected component."""
+        return None if self.selected is None else self.components[self.selected]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON: no NaN, no infinity (null instead)."""
+        best = self.best
+        action = self.action
+        return {
+            "scenario": self.name,
+            "selected": None if best is None else best.label,
+            "action": {
+                "kind": action.kind,
+                "time": action.time,
+                "position": action.position.tolist(),
+                "velocity": action.velocity.tolist(),
+                "safe": action.safe,
+                "reason": action.reason,
+            },
+            "trajectory": self.trajectory.rows,
+            "timing": self.timing,
+            "warnings": list(self.warnings),
+            "hypotheses": [
+                _component_dict(component, height, mass)
+                for component, height, mass in zip(
+                    self.components,
+                    self.probability_height.tolist(),
+                    self.probability_mass.tolist(),
+                    strict=True,
+                )
+            ],
+        }
+
+
+def _component_dict(c: Component, height: float, mass: float) -> dict[str, Any]:
+    return {
+        "label": c.label,
+        "log_prior": c.log_prior,
+        "cost": c.cost,
+        "energy": _finite(c.energy),
+        "log_evidence": None if c.log_evidence is None else _finite(c.log_evidence),
+        "probability_height": height,
+        "probability_mass": mass,
+        "converged": c.converged,
+        "stop": c.stop,
+        "iterations": c.iterations,
+        "seconds": c.seconds,
+        "start": c.start,
+        "optima": c.optima,
+        "min_separation": _finite(c.check.min_separation),
+        "clearance": _finite(c.check.clearance),
+        "feasible": c.feasible,
+        "problems": list(c.check.problems),
+        "robot": c.robot.rows,
+        "crowd": {name: person.rows for name, person in c.crowd.items()},
+        "levels": {name: level.rows for name, level in c.levels.items()},
+        "displacement": c.displacement,
+        "sides": c.sides,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,332 @@
+"""scenario + hypothesis → the joint density: its terms, its GTSAM graph, its initial values.
+
+Every line of `_shared_terms` and `_hypothesis_terms` is one factor of the density in the order of
+`docs/density.md`. A term applies one residual to many time steps, so that a solver may evaluate
+them in one call while GTSAM sees one factor a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.contact import Contact
+from factors.coupling import coupling, coupling_to
+from factors.gp_prior import GPPrior, MaternPrior, gaussian
+from factors.interaction import Interaction
+from factors.kinematics import AccelerationLimit, SpeedLimit
+from factors.obstacle import InterpolatedObstacle, Obstacle
+from factors.pairwise import CrowdPairs, PredictedPairs
+from factors.residual import Residual
+from fgplan import keys
+from fgplan.crowd import Belief
+from fgplan.hypothesis import Hypothesis, Start
+from fgplan.scenario import Density, Level, Scenario
+
+Array = NDArray[np.float64]
+
+OBSTACLE_SPACING = 0.25
+"""Largest distance between two obstacle checks at full speed [m]."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A random trajectory: one GTSAM variable of size `dim` per time step."""
+
+    name: str
+    dim: int
+    key: Callable[[int], int]
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One residual at every step of a range; `variables` are (name, offset from the step)."""
+
+    name: str
+    residual: Residual
+    variables: tuple[tuple[str, int], ...]
+    steps: range
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The density given one hypothesis.
+
+    States of all variables are one array (..., T + 1, D), variables side by side; `columns` says
+    where each is.
+
+    Args:
+        times: t_k, shape (T + 1,) [s].
+        variables: The random trajectories.
+        shared: Terms that are the same for every hypothesis.
+        own: Terms of this hypothesis: its plan.
+        fixed: States known without error: (variable, step) → value.
+        reference: A typical trajectory of all variables, shape (T + 1, D).
+        extra: The user's own GTSAM factors.
+    """
+
+    times: Array
+    variables: tuple[Variable, ...]
+    shared: tuple[Term, ...]
+    own: tuple[Term, ...]
+    fixed: dict[tuple[str, int], Array]
+    reference: Array
+    extra: tuple[gtsam.NonlinearFactor, ...] = ()
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Where each variable is in a state."""
+        ends = np.cumsum([v.dim for v in self.variables])
+        pairs = zip(self.variables, ends, strict=True)
+        return {v.name: slice(int(end) - v.dim, int(end)) for v, end in pairs}
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """All terms."""
+        return self.shared + self.own
+
+    @cached_property
+    def keys(self) -> dict[tuple[str, int], int]:
+        """GTSAM key of each (variable, step)."""
+        steps = range(len(self.times))
+        return {(v.name, k): v.key(k) for v in self.variables for k in steps}
+
+    @cached_property
+    def log_normalizer(self) -> float:
+        """Σ of the log normalisers of all Gaussian densities in the product."""
+        return sum(term.residual.log_normalizer * len(term.steps) for term in self.terms)
+
+    @cached_property
+    def log_normalizer_own(self) -> float:
+        """The part of it that belongs to this hypothesis: that of p(η | i)."""
+        return sum(term.residual.log_normalizer * len(term.steps) for term in self.own)
+
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """The factor graph; its error is −log of the unnormalised density."""
+        graph = gtsam.NonlinearFactorGraph()
+        for term in self.terms:
+            for i, k in enumerate(term.steps):
+                on = [self.keys[name, k + offset] for name, offset in term.variables]
+                graph.push_back(term.residual.at(i).on(*on))
+        for (name, k), value in self.fixed.items():
+            exact = gtsam.noiseModel.Constrained.All(len(value))
+            graph.push_back(gtsam.PriorFactorVector(self.keys[name, k], value, exact))
+        for factor in self.extra:
+            graph.push_back(factor)
+        return graph
+
+    def values(self, state: Array) -> gtsam.Values:
+        """A state (T + 1, D) as GTSAM values."""
+        values = gtsam.Values()
+        for (name, k), key in self.keys.items():
+            values.insert(key, state[k, self.columns[name]])
+        return values
+
+    def state(self, values: gtsam.Values) -> Array:
+        """GTSAM values as a state (T + 1, D)."""
+        state = np.empty_like(self.reference)
+        for (name, k), key in self.keys.items():
+            state[k, self.columns[name]] = values.atVector(key)
+        return state
+
+    def initial(self, start: Start) -> Array:
+        """The state to start from: the robot's guess, everything else as it is expected."""
+        state = self.reference.copy()
+        state[:, self.columns["robot"]] = start.robot.states
+        for (name, k), value in self.fixed.items():
+            state[k, self.columns[name]] = value
+        return state
+
+
+def build(
+    scenario: Scenario,
+    belief: Belief,
+    hypotheses: Sequence[Hypothesis],
+    factors: Iterable[gtsam.NonlinearFactor] = (),
+) -> tuple[Model, ...]:
+    """One model per hypothesis; they share every term that does not depend on it.
+
+    Args:
+        scenario: What is known now.
+        belief: The people in the density.
+        hypotheses: Global plans.
+        factors: The user's own GTSAM factors on `fgplan.keys`, added to every hypothesis.
+    """
+    joint = scenario.crowd == "joint" and belief.count > 0
+    T = scenario.density.steps
+    robot = Variable("robot", 4, keys.robot)
+    crowd = (Variable("crowd", 4 * belief.count, keys.crowd),) if joint else ()
+    shared = tuple(_shared_terms(scenario, belief, joint))
+    fixed = {}
+    if scenario.robot.covariance is None:
+        fixed["robot", 0] = scenario.robot.state
+    extra = tuple(factors)
+
+    models = []
+    for hypothesis in hypotheses:
+        levels = _level_variables(scenario.levels, hypothesis)
+        variables = (*levels.values(), robot, *crowd)
+        parts = [hypothesis.plan.states for _ in levels if hypothesis.plan is not None]
+        parts.append(hypothesis.starts[0].robot.states)
+        if joint:
+            parts.append(_expected_crowd(belief, scenario.density.times))
+        own = tuple(_hypothesis_terms(scenario, hypothesis, levels, T))
+        models.append(
+            Model(scenario.density.times, variables, shared, own, fixed, np.hstack(parts), extra)
+        )
+    return tuple(models)
+
+
+def _shared_terms(scenario: Scenario, belief: Belief, joint: bool) -> Iterable[Term]:
+    d = scenario.density
+    yield from _robot_prior(scenario)
+    if joint:
+        yield from _crowd_prior(belief, d)
+    if belief.count > 0:
+        yield from _people(scenario, belief, joint)
+    yield from _obstacles(scenario)
+    yield from _limits(scenario)
+
+
+def _robot_prior(scenario: Scenario) -> Iterable[Term]:
+    """p(f^R | z^R)."""
+    d, robot = scenario.density, scenario.robot
+    if robot.covariance is not None:
+        now = gaussian(robot.state, robot.covariance)
+        yield Term("robot now", now, (("robot", 0),), range(1))
+    prior = GPPrior(d.dt, d.Qc_robot * np.eye(2))
+    yield Term("robot prior", prior, (("robot", 0), ("robot", 1)), range(d.steps))
+
+
+def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
+    """p(f | z^f): one GP an agent, conditioned on its track."""
+    n = belief.count
+    mean = np.concatenate([belief.mean[:, :2].ravel(), belief.mean[:, 2:].ravel()])
+    person = np.arange(2 * n).reshape(n, 2)
+    index = np.hstack([person, person + 2 * n])
+    covariance = np.zeros((4 * n, 4 * n))
+    for rows, block in zip(index, belief.covariance, strict=True):
+        covariance[np.ix_(rows, rows)] = block
+    yield Term("crowd now", gaussian(mean, covariance), (("crowd", 0),), range(1))
+    prior = GPPrior(d.dt, belief.Qc * np.eye(2 * n))
+    yield Term("crowd prior", prior, (("crowd", 0), ("crowd", 1)), range(d.steps))
+
+
+def _people(scenario: Scenario, belief: Belief, joint: bool) -> Iterable[Term]:
+    """ψ_int(f^R, f) and ψ_contact(f^R, f)."""
+    d = scenario.density
+    steps = range(d.steps + 1)
+    reach = scenario.robot.radius + belief.radii + d.contact_margin
+    contact = Contact(reach, d.contact_sigma, d.exponent)
+    if joint:
+        on = (("robot", 0), ("crowd", 0))
+        if d.alpha > 0:
+            interaction = Interaction(d.alpha, d.h_c, d.exponent)
+            pairs = CrowdPairs(interaction, belief.count, scenario.pairs)
+            yield Term("interaction", pairs, on, steps)
+        if np.isfinite(d.contact_sigma):
+            yield Term("contact", CrowdPairs(contact, belief.count, "robot"), on, steps)
+        return
+    mean, covariance = belief.predict(d.times)
+    if d.alpha > 0:
+        # People held at their prediction: what is not known of them widens the interaction.
+        variance = np.trace(covariance[..., :2, :2], axis1=-2, axis2=-1) / 2
+        interaction = Interaction(d.alpha, d.h_c, d.exponent, variance)
+        predicted = PredictedPairs(interaction, mean[..., :2])
+        yield Term("interaction", predicted, (("robot", 0),), steps)
+    if np.isfinite(d.contact_sigma):
+        yield Term("contact", PredictedPairs(contact, mean[..., :2]), (("robot", 0),), steps)
+
+
+def _obstacles(scenario: Scenario) -> Iterable[Term]:
+    """ψ_obs(f^R), at the states and between them."""
+    d, robot = scenario.density, scenario.robot
+    if scenario.grid is None or not np.isfinite(d.obstacle_sigma):
+        return
+    field = scenario.grid.distance_field
+    shape = (field, robot.radius, d.obstacle_margin, d.obstacle_sigma)
+    at_states = Obstacle(*shape, weight=d.exponent)
+    yield Term("obstacle", at_states, (("robot", 0),), range(1, d.steps + 1))
+    between = int(np.ceil(robot.max_speed * d.dt / OBSTACLE_SPACING)) - 1
+    if between > 0:
+        fractions = tuple((np.arange(between) + 1.0) / (between + 1))
+        prior = GPPrior(d.dt, d.Qc_robot * np.eye(2))
+        checks = InterpolatedObstacle(*shape, prior, fractions, weight=d.exponent)
+        yield Term("obstacle between", checks, (("robot", 0), ("robot", 1)), range(d.steps))
+
+
+def _limits(scenario: Scenario) -> Iterable[Term]:
+    """What the robot can do."""
+    d, robot = scenario.density, scenario.robot
+    if not np.isfinite(d.limit_sigma):
+        return
+    speed = SpeedLimit(robot.max_speed, d.limit_sigma, weight=d.exponent)
+    yield Term("speed limit", speed, (("robot", 0),), range(1, d.steps + 1))
+    acceleration = AccelerationLimit(
+        robot.max_acceleration, d.limit_sigma, d.dt, weight=d.exponent
+    )
+    yield Term(
+        "acceleration limit", acceleration, (("robot", 0), ("robot", 1)), range(d.steps)
+    )
+
+
+def _level_variables(levels: Sequence[Level], hypothesis: Hypothesis) -> dict[int, Variable]:
+    """The levels that are random: a level without width is the fixed plan."""
+    if hypothesis.plan is None:
+        return {}
+    return {
+        index: Variable(f"level {index}", 4, partial(keys.level, index))
+        for index, level in enumerate(levels)
+        if level.sigma > 0
+    }
+
+
+def _hypothesis_terms(
+    scenario: Scenario, hypothesis: Hypothesis, variables: dict[int, Variable], T: int
+) -> Iterable[Term]:
+    """Π_l p(η_l | i) and Π_l ψ(η_l, η_{l+1}), the last with f^R."""
+    if hypothesis.plan is None:
+        return
+    d, mean = scenario.density, hypothesis.plan.states
+    for index, variable in variables.items():
+        level, name = scenario.levels[index], variable.name
+        pair = ((name, 0), (name, 1))
+        if np.isfinite(level.sigma):
+            prior = MaternPrior(mean, d.dt, level.sigma, level.length)
+            first = MaternPrior.first(mean[0], level.sigma, level.length)
+            yield Term(f"{level.name} now", first, ((name, 0),), range(1))
+            yield Term(f"{level.name} prior", prior, pair, range(T))
+        else:
+            smooth = GPPrior(d.dt, d.Qc_robot * np.eye(2))
+            yield Term(f"{level.name} prior", smooth, pair, range(T))
+    steps = range(T + 1)
+    for index, level in enumerate(scenario.levels):
+        below = _below(index, scenario.levels, variables)
+        if below is None:
+            continue
+        label = f"{level.name} coupling"
+        if index in variables:
+            psi = coupling(level.h, weight=d.exponent)
+            yield Term(label, psi, ((variables[index].name, 0), (below, 0)), steps)
+        else:
+            psi = coupling_to(mean[:, :2], level.h, weight=d.exponent)
+            yield Term(label, psi, ((below, 0),), steps)
+
+
+def _below(index: int, levels: Sequence[Level], variables: dict[int, Variable]) -> str | None:
+    """Name of the variable next below a level; None where that level is fixed too."""
+    if index == len(levels) - 1:
+        return "robot"
+    return variables[index + 1].name if index + 1 in variables else None
+
+
+def _expected_crowd(belief: Belief, times: Array) -> Array:
+    """The people's prediction as crowd states, shape (T + 1, 4n)."""
+    mean, _ = belief.predict(times)
+    flat = mean.reshape(len(times), belief.count, 2, 2)
+    return np.asarray(np.swapaxes(flat, 1, 2).reshape(len(times), -1))

@@ -1,0 +1,142 @@
+"""The hard check: what no energy can buy, over the whole horizon and between the states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.scenario import Robot, Scenario
+from fgplan.trajectory import Trajectory, hermite
+
+Array = NDArray[np.float64]
+
+CHECK_SPACING = 0.05
+"""Time between two checks [s]: 6 cm at 1.2 m/s."""
+TOLERANCE = 1e-6
+BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.25)
+"""Decelerations tried for a stop, as shares of the robot's limit."""
+
+
+class People(NamedTuple):
+    """Where people are expected: states (S, n, 4) at times (S,), and radii (n,)."""
+
+    times: Array
+    states: Array
+    radii: Array
+
+
+@dataclass(frozen=True)
+class Check:
+    """What the hard check found.
+
+    Args:
+        min_separation: Smallest distance between the centres of robot and a person [m]; inf
+            without people.
+        clearance: Smallest gap between the robot's edge and an obstacle [m]; inf without a map.
+        first_contact: When the first contact with a person or obstacle happens [s]; inf if never.
+        problems: Why the trajectory must not be driven; empty when it may.
+    """
+
+    min_separation: float
+    clearance: float
+    first_contact: float
+    problems: tuple[str, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the trajectory may be driven."""
+        return not self.problems
+
+
+def check(scenario: Scenario, robot: Trajectory, people: People) -> Check:
+    """Check one trajectory against people, map and the robot's own limits.
+
+    Who or what is already closer than allowed now must not come closer still: a plan that leads
+    out of a contact is not refused for having begun in it.
+
+    Args:
+        scenario: Map, robot and limits.
+        robot: What will be driven.
+        people: Who is expected where.
+    """
+    duration = robot.times[-1] - robot.times[0]
+    t = robot.times[0] + np.linspace(0, duration, 1 + max(1, round(duration / CHECK_SPACING)))
+    position = robot.at(t)[:, :2]
+    problems: list[str] = []
+
+    gap = np.full((len(t), 0), np.inf)
+    separation = np.inf
+    if people.states.shape[1]:
+        where, _ = hermite(people.times, people.states[..., :2], people.states[..., 2:], t)
+        distance = np.linalg.norm(where - position[:, None], axis=-1)
+        separation = float(distance.min())
+        gap = distance - (scenario.robot.radius + people.radii)
+    person_contact = _first_contact(t, gap)
+    if np.isfinite(person_contact):
+        problems.append(f"contact with a person at {person_contact:.2f} s")
+
+    clearance, wall_contact = np.inf, np.inf
+    if scenario.grid is not None:
+        to_wall = scenario.grid.clearance(position, scenario.robot.radius)
+        clearance = float(to_wall.min())
+        wall_contact = _first_contact(t, to_wall[:, None])
+        if np.isfinite(wall_contact):
+            problems.append(f"contact with an obstacle at {wall_contact:.2f} s")
+
+    problems += _beyond_limits(scenario.robot, robot)
+    return Check(separation, clearance, min(person_contact, wall_contact), tuple(problems))
+
+
+def brake(scenario: Scenario, people: People) -> tuple[Trajectory, Check]:
+    """The fastest stop that passes the check; when none does, the one that is clear longest."""
+    options = [_braking(scenario, share) for share in BRAKING_SHARES]
+    checked = [(stop, check(scenario, stop, people)) for stop in options]
+    for stop, result in checked:
+        if result.feasible:
+            return stop, result
+    return max(checked, key=lambda option: option[1].first_contact)
+
+
+def _first_contact(t: Array, gap: Array) -> float:
+    """First time at which a gap is negative and smaller than it was at the start; gap (Q, m)."""
+    if gap.shape[1] == 0:
+        return np.inf
+    allowed = np.minimum(gap[0], 0.0) - TOLERANCE
+    touching = np.any(gap < allowed, axis=1)
+    return float(t[np.argmax(touching)]) if touching.any() else np.inf
+
+
+def _beyond_limits(robot: Robot, trajectory: Trajectory) -> list[str]:
+    problems = []
+    speed = np.linalg.norm(trajectory.velocities, axis=1)
+    # A robot that is too fast now may slow down; it must not go on, or get faster still.
+    limit = max(robot.max_speed, float(speed[0]))
+    if speed.max() > limit + TOLERANCE:
+        problems.append(f"speed {speed.max():.2f} m/s above {limit:.2f} m/s")
+    if len(trajectory.times) > 1:
+        change = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
+        acceleration = np.linalg.norm(change, axis=1).max()
+        if acceleration > robot.max_acceleration + TOLERANCE:
+            problems.append(
+                f"acceleration {acceleration:.2f} m/s² above {robot.max_acceleration:.2f} m/s²"
+            )
+    return problems
+
+
+def _braking(scenario: Scenario, share: float) -> Trajectory:
+    """Straight braking at a share of the largest deceleration, then standing."""
+    robot, times = scenario.robot, scenario.density.times
+    speed = float(np.linalg.norm(robot.velocity))
+    direction = robot.velocity / speed if speed > 0 else np.zeros(2)
+    rate = share * robot.max_acceleration
+    moving = np.minimum(times, speed / rate)
+    along = speed * moving - 0.5 * rate * moving**2
+    velocity = np.maximum(speed - rate * times, 0.0)
+    return Trajectory(
+        times,
+        robot.position + along[:, None] * direction,
+        velocity[:, None] * direction,
+    )
