@@ -163,10 +163,8 @@ def visible(
         aside = np.abs(np.arctan2(np.sin(bearing), np.cos(bearing)))
         # 1e-12: a point on the very edge must not depend on the rounding of the arctangent.
         mask &= (aside <= field_of_view.angle / 2 + 1e-12) | (distance == 0)
-    if field_of_view.occlusion and grid is not None and mask.any():
-        target = np.asarray(points, dtype=float).reshape(-1, 2)[mask]
-        origin = np.broadcast_to(np.asarray(position, dtype=float), target.shape)
-        mask[mask] = grid.line_of_sight(origin, target)
+    if field_of_view.occlusion and grid is not None:
+        mask[mask] = _in_sight(np.asarray(position, dtype=float), offset[mask], grid)
     return mask
 
 
@@ -187,6 +185,19 @@ def seen(scenario: Scenario) -> tuple[Track, ...]:
         scenario.grid,
     )
     return tuple(track for track, inside in zip(scenario.tracks, mask, strict=True) if inside)
+
+
+def _in_sight(position: Array, offset: Array, grid: OccupancyGrid) -> NDArray[np.bool_]:
+    """Which points position + offset, shape (n, 2), the map does not hide, shape (n,)."""
+    xmin, ymin, xmax, ymax = grid.bounds
+    corners = np.array([[xmin, ymin], [xmin, ymax], [xmax, ymin], [xmax, ymax]]) - position
+    reach = np.linalg.norm(corners, axis=1).max()
+    distance = np.linalg.norm(offset, axis=1)
+    # Nothing hides beyond the map, and the line is sampled all the way to its end.
+    ends = position + offset * np.minimum(1.0, reach / np.maximum(distance, 1e-9))[:, None]
+    # One by one: the sampling follows the farthest point of a call, and who is seen must not
+    # depend on who else is there.
+    return np.array([grid.line_of_sight(position, end[None])[0] for end in ends], dtype=bool)
 
 
 def _padded(tracks: Sequence[Track], now: float) -> tuple[Array, Array]:

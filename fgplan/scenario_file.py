@@ -142,6 +142,9 @@ class _File(_Table):
     levels: list[_Level] | None = None
 
 
+MOST_CELLS = 40_000_000
+"""Of a map drawn in a scenario file: more would take minutes and gigabytes."""
+
 _ROWS = {"track": (1, 3), "path": (1, 2), "polygons": (2, 2)}
 """Lists of rows: how deep the rows are, and how long."""
 
@@ -220,11 +223,11 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _structure(raw: Mapping[str, Any]) -> tuple[_File, list[Mistake]]:
     """The tables with their types, and what had to be replaced on the way."""
-    raw = copy.deepcopy(dict(raw))
+    tables = copy.deepcopy(dict(raw))
     mistakes: list[Mistake] = []
     while True:
         try:
-            return _File.model_validate(raw), mistakes
+            return _File.model_validate(tables), mistakes
         except ValidationError as error:
             # Every round replaces each value that is wrong by one that is not, from the inside
             # out, so that there is an end. A missing key may follow from a value taken out.
@@ -234,7 +237,7 @@ def _structure(raw: Mapping[str, Any]) -> tuple[_File, list[Mistake]]:
                 mistake = _mistake(loc, issue)
                 if not any(_overlap(mistake.path, path) for path in known):
                     mistakes.append(mistake)
-                _repair(raw, loc, issue["type"])
+                _repair(tables, loc, issue["type"])
 
 
 def _mistake(loc: tuple[int | str, ...], issue: Mapping[str, Any]) -> Mistake:
@@ -268,11 +271,11 @@ def _table_of(annotation: Any) -> type[BaseModel]:
     return _table_of(inner[0])
 
 
-def _repair(raw: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> None:
+def _repair(tables: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> None:
     """Take out what cannot be read, or put what nothing mistakes for a value in its place."""
     last = max(i for i, part in enumerate(loc) if isinstance(part, str))
     key = str(loc[last])
-    owner: Any = raw
+    owner: Any = tables
     for part in loc[:last]:
         owner = owner[part]
     depth, width = _ROWS.get(key, (0, 0))
@@ -305,17 +308,21 @@ def _map(
             return OccupancyGrid.load(folder / table.file), []
         except MapError as error:
             return None, [Mistake("map.file", table.file, str(error))]
-    missing = [key for key in ("polygons", "bounds", "resolution") if key not in drawn]
-    if missing and unclear:
-        return None, []
-    if missing:
+    if table.polygons is None or table.bounds is None or table.resolution is None:
+        missing = [key for key in ("polygons", "bounds", "resolution") if key not in drawn]
         mend = "is missing; give file, or polygons with bounds and resolution"
-        return None, [Mistake(f"map.{key}", None, mend) for key in missing]
+        return None, [Mistake(f"map.{key}", None, mend) for key in missing if not unclear]
+    xmin, ymin, xmax, ymax = table.bounds
+    if (xmax - xmin) * (ymax - ymin) > MOST_CELLS * table.resolution**2 > 0:
+        mend = f"makes a map of more than {MOST_CELLS:g} cells; give a coarser one"
+        return None, [Mistake("map.resolution", table.resolution, mend)]
     try:
-        shapes = [np.asarray(polygon, dtype=float) for polygon in table.polygons or []]
+        shapes = [np.asarray(polygon, dtype=float) for polygon in table.polygons]
         return OccupancyGrid.from_polygons(shapes, table.bounds, table.resolution), []
     except MapError as error:
-        return None, [Mistake("map.polygons", table.polygons, str(error))]
+        key, _, what = str(error).partition(": ")
+        value = getattr(table, key.partition("[")[0], None)
+        return None, [Mistake(f"map.{key}", value, what.rpartition("; ")[2])]
 
 
 def _goal(table: _File) -> Sequence[Mistake]:

@@ -130,7 +130,7 @@ def placement(scenario: Scenario) -> Iterable[Mistake]:
             xmin, ymin, xmax, ymax = grid.bounds
             mend = f"lies outside the map, x {xmin:g} to {xmax:g}, y {ymin:g} to {ymax:g}"
             yield Mistake(path, _plain(point), mend)
-        elif grid.distance(where)[0] <= 0:
+        elif grid.is_occupied(where)[0]:
             yield Mistake(path, _plain(point), "lies inside an obstacle of the map; move it")
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fgplan.crowd import Belief, believe, heading, seen, visible
+from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import FieldOfView, Robot, Scenario, Track
 
 QC, SIGMA, SPEED = 0.029, 0.043, 1.5
@@ -152,11 +153,9 @@ def test_track_from_the_future_is_refused() -> None:
         believe([track], 0.4, QC, SIGMA, SPEED)
 
 
-class Wall:
-    """A map whose only obstacle is the line x = 1 for y < 0."""
-
-    def line_of_sight(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return ~((a[:, 0] < 1) & (b[:, 0] > 1) & (b[:, 1] < 0))
+WALL = OccupancyGrid.from_polygons(
+    [[(1.0, -3.0), (1.2, -3.0), (1.2, 0.0), (1.0, 0.0)]], (-3.0, -3.0, 3.0, 3.0), 0.1
+)
 
 
 def at_angle(*angles: float, distance: float = 2.0) -> np.ndarray:
@@ -184,10 +183,24 @@ def test_person_on_the_robot_is_seen_whatever_the_heading() -> None:
 
 def test_map_hides_people_only_with_occlusion() -> None:
     points = np.array([[2.0, -1.0], [2.0, 1.0]])
-    hidden = visible(FieldOfView(), np.zeros(2), 0.0, points, Wall())  # type: ignore[arg-type]
+    hidden = visible(FieldOfView(), np.zeros(2), 0.0, points, WALL)
     assert hidden.tolist() == [False, True]
     clear = FieldOfView(occlusion=False)
-    assert visible(clear, np.zeros(2), 0.0, points, Wall()).all()  # type: ignore[arg-type]
+    assert visible(clear, np.zeros(2), 0.0, points, WALL).all()
+
+
+def test_person_far_beyond_the_map_is_hidden_by_its_walls_all_the_same() -> None:
+    points = np.array([[1e6, -5e5], [1e6, 5e5]])
+    assert visible(FieldOfView(), np.zeros(2), 0.0, points, WALL).tolist() == [False, True]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_who_is_seen_does_not_depend_on_who_else_is_there(seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-2.9, 2.9, (20, 2))
+    together = visible(FieldOfView(range=3.5), np.zeros(2), 0.0, points, WALL)
+    alone = [visible(FieldOfView(range=3.5), np.zeros(2), 0.0, p[None], WALL)[0] for p in points]
+    assert together.tolist() == alone
 
 
 def test_heading_is_stated_then_motion_then_goal_then_zero() -> None:
