@@ -40,14 +40,17 @@ class Hinge:
         e = self.error(d)
         return e, np.where(e > 0, self._slope, 0.0)[..., None] * gradient
 
+    def gauss_newton(self, d: Array, gradient: Array) -> Expansion:
+        """½e² with its gradient (..., m) and de deᵀ (..., m, m), without the curvature of d."""
+        e, de = self.linearize(d, gradient)
+        return Expansion(0.5 * e**2, e[..., None] * de, de[..., :, None] * de[..., None, :])
+
     def expand(self, d: Array, gradient: Array, hessian: Array) -> Expansion:
         """½e² with its gradient (..., m) and true Hessian (..., m, m) in p."""
-        e, de = self.linearize(d, gradient)
+        flat = self.gauss_newton(d, gradient)
         # e is 0 wherever the hinge is off, so no mask is needed for the curvature of d.
-        curvature = (self._slope * e)[..., None, None] * hessian
-        return Expansion(
-            0.5 * e**2, e[..., None] * de, de[..., :, None] * de[..., None, :] + curvature
-        )
+        curvature = (self._slope * self.error(d))[..., None, None] * hessian
+        return flat._replace(hessian=flat.hessian + curvature)
 
     @property
     def _slope(self) -> float:
