@@ -134,7 +134,7 @@ class OccupancyGrid:
             vertices = np.asarray(polygon, dtype=float)
             if vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 3:
                 raise MapError(
-                    f"polygons[{number}]: got shape {vertices.shape}; give 3 or more vertices (x, y)"
+                    f"polygons[{number}]: got shape {vertices.shape}; give 3 or more points (x, y)"
                 )
             if not np.all(np.isfinite(vertices)):
                 raise MapError(f"polygons[{number}]: got {vertices.tolist()}; give finite numbers")
@@ -173,14 +173,15 @@ class OccupancyGrid:
 
         occupied = self.occupied
         if not occupied.any():
-            values = np.full(occupied.shape, NO_OBSTACLE)
+            values: Array = np.full(occupied.shape, NO_OBSTACLE)
         elif occupied.all():
             values = np.full(occupied.shape, -NO_OBSTACLE)
         else:
             apart = distance_transform_edt(~occupied) - distance_transform_edt(occupied)
             values = self.resolution * (apart - 0.5 * np.sign(apart))
-        # A field needs two nodes a side; beyond the last one it holds anyway.
-        values = np.pad(values, [(0, int(size == 1)) for size in values.shape], mode="edge")
+        # A field needs two nodes a side; a second one like the first says nothing new.
+        rows, cols = values.shape
+        values = np.tile(values, (1 + (rows == 1), 1 + (cols == 1)))
         centre = self.cell_to_world(np.zeros(2))
         return SignedDistanceField(values, centre, self.resolution, float(self.origin[2]))
 
