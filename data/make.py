@@ -1,0 +1,125 @@
+"""Make the maps and the people of `data/`: run `python data/make.py` from the repository's root.
+
+Maps are drawn from polygons. The people of a scenario file are everything below its line
+`PEOPLE`; each is a walk of white noise on acceleration that ends in a chosen position and
+velocity, seen every 0.4 s with noise, as a tracker would report it. Everything is seeded, so that
+a second run changes nothing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.occupancy import OccupancyGrid
+
+HERE = Path(__file__).parent
+PEOPLE = "# --- people: written by data/make.py, do not edit below ---"
+
+DT = 0.4
+"""Between two detections [s]."""
+DETECTIONS = 9
+"""Of each person; the last one is now, the first 3.2 s ago."""
+QC = 0.029
+"""Power spectral density of a walker's acceleration, fitted on real pedestrians [m²/s³]."""
+SIGMA = 0.02
+"""Standard deviation of a detection [m]."""
+
+Vertices = list[tuple[float, float]]
+Person = tuple[float, float, float, float]
+"""(x, y, vx, vy) at time 0 [m, m/s]."""
+
+CORRIDOR_PEOPLE: list[Person] = [
+    # Five people coming out of the middle corridor, slowly and side by side: they fill its mouth
+    # while the robot would enter it.
+    (5.4, 0.55, -0.45, 0.00),
+    (5.6, -0.45, -0.50, 0.00),
+    (6.4, 0.05, -0.45, 0.02),
+    (7.2, 0.60, -0.50, -0.02),
+    (7.4, -0.50, -0.45, 0.00),
+]
+
+HALL_PEOPLE: list[Person] = [
+    (-4.5, 1.2, 1.10, -0.30),
+    (-3.0, -1.8, 0.30, 1.00),
+    (-1.5, 4.0, 0.10, -1.25),
+    (-0.5, 0.4, -1.20, 0.05),
+    (0.6, -0.5, -1.10, 0.10),
+    (2.0, 2.6, -0.80, -0.80),
+    (2.5, -4.5, -0.50, 1.20),
+    (3.8, 0.2, 0.00, 0.00),
+    (5.0, -2.0, -1.25, 0.40),
+    (5.5, 4.8, -1.00, -0.70),
+    (6.8, 0.9, -1.30, -0.10),
+    (-6.5, 5.2, 1.15, -0.60),
+]
+
+CROWDS = {"three_corridors_crowd": (CORRIDOR_PEOPLE, 1), "hall": (HALL_PEOPLE, 2)}
+"""People and seed of each scenario file that has any."""
+
+
+def maps() -> dict[str, OccupancyGrid]:
+    """The maps by name."""
+    octagon = [
+        (5.0 + 1.0 * float(np.cos(angle)), 0.3 + 1.0 * float(np.sin(angle)))
+        for angle in np.pi / 8 + np.pi / 4 * np.arange(8)
+    ]
+    blocks = [_box(4, 1, 11, 2), _box(4, -2, 11, -1)]
+    return {
+        "one_obstacle": OccupancyGrid.from_polygons([octagon], (0, -4, 10, 4), 0.05, border=True),
+        "three_corridors": OccupancyGrid.from_polygons(blocks, (0, -4, 14, 4), 0.1, border=True),
+        "hall": OccupancyGrid.from_polygons([], (-10, -7, 10, 7), 0.1, border=True),
+    }
+
+
+def people(name: str) -> str:
+    """The people of a scenario file, as TOML."""
+    crowd, seed = CROWDS[name]
+    rng = np.random.default_rng(seed)
+    entries = [_person(f"p{i}", _walk(person, rng)) for i, person in enumerate(crowd, start=1)]
+    return f"{PEOPLE}\n\n" + "\n".join(entries)
+
+
+def main() -> None:
+    """Write every map, and the people into the scenario files that have any."""
+    for name, grid in maps().items():
+        grid.save(HERE / "maps" / f"{name}.yaml")
+    for name in CROWDS:
+        path = HERE / "scenarios" / f"{name}.toml"
+        stated = path.read_text(encoding="utf-8").partition(PEOPLE)[0]
+        path.write_text(stated + people(name), encoding="utf-8")
+
+
+def _box(xmin: float, ymin: float, xmax: float, ymax: float) -> Vertices:
+    """A rectangle a centimetre smaller on each side: a polygon fills every cell that it touches."""
+    inset = 0.01
+    xmin, ymin, xmax, ymax = xmin + inset, ymin + inset, xmax - inset, ymax - inset
+    return [(xmin, ymin), (xmax, ymin), (xmax, ymax), (xmin, ymax)]
+
+
+def _walk(person: Person, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Detections (t, x, y) of a walk that ends in `person`: the process run backwards in time.
+
+    Who stands at the end stood all the while.
+    """
+    state = np.array(person, dtype=float).reshape(2, 2)
+    Q = QC * np.array([[DT**3 / 3, -(DT**2) / 2], [-(DT**2) / 2, DT]])
+    root = np.linalg.cholesky(Q) if np.any(state[1]) else np.zeros((2, 2))
+    positions = [state[0]]
+    for _ in range(DETECTIONS - 1):
+        backwards = np.array([[1.0, -DT], [0.0, 1.0]])
+        state = backwards @ state + root @ rng.standard_normal((2, 2))
+        positions.append(state[0])
+    seen = np.array(positions[::-1]) + SIGMA * rng.standard_normal((DETECTIONS, 2))
+    return np.column_stack([DT * np.arange(1 - DETECTIONS, 1), seen])
+
+
+def _person(identity: str, rows: NDArray[np.float64]) -> str:
+    track = "\n".join(f"    [{t:.1f}, {x:.2f}, {y:.2f}]," for t, x, y in rows + 0.0)
+    return f'[[people]]\nid = "{identity}"\nradius = 0.3\ntrack = [\n{track}\n]\n'
+
+
+if __name__ == "__main__":
+    main()
