@@ -7,7 +7,9 @@ import numpy as np
 from factors.residual import Array, Linear
 
 
-def coupling(h: float, dims: tuple[int, int] = (4, 4), space: int = 2, weight: float = 1.0) -> Linear:
+def coupling(
+    h: float, dims: tuple[int, int] = (4, 4), space: int = 2, weight: float = 1.0
+) -> Linear:
     r"""ψ(a, b) = exp(−weight ‖a − b‖²/(2h)) on the positions of two variables.
 
     Args:

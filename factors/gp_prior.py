@@ -35,7 +35,7 @@ class GPPrior(Linear):
     def __init__(self, dt: float, Qc: Array) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"dt must be positive, got {dt}")
-        W = np.kron(whitener(_time_covariance(dt)), whitener(Qc, "Qc"))
+        W = kron(whitener(_time_covariance(dt)), whitener(Qc, "Qc"))
         m = len(np.atleast_2d(Qc))
         super().__init__((-W @ transition(dt, m), W), np.zeros(2 * m), log_gaussian_normalizer(W))
         object.__setattr__(self, "dt", float(dt))
@@ -44,7 +44,7 @@ class GPPrior(Linear):
     @cached_property
     def Q(self) -> Array:
         """Covariance of e, shape (2m, 2m)."""
-        return np.kron(_time_covariance(self.dt), self.Qc)
+        return kron(_time_covariance(self.dt), self.Qc)
 
     def interpolate(self, tau: float) -> tuple[Array, Array]:
         r"""Λ, Ψ, each (2m, 2m), of the conditional mean x(t_k + τ) = Λ x_k + Ψ x_{k+1}.
@@ -65,7 +65,7 @@ class GPPrior(Linear):
             @ np.linalg.inv(_time_covariance(self.dt))
         )
         Lambda_t = transition(tau, 1) - Psi_t @ transition(self.dt, 1)
-        return np.kron(Lambda_t, np.eye(m)), np.kron(Psi_t, np.eye(m))
+        return kron(Lambda_t, np.eye(m)), kron(Psi_t, np.eye(m))
 
 
 class MaternPrior(Linear):
@@ -96,8 +96,8 @@ class MaternPrior(Linear):
         rate = np.sqrt(3) / length
         A_t = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
         S_t = np.diag([sigma**2, (rate * sigma) ** 2])
-        W = np.kron(whitener(S_t - A_t @ S_t @ A_t.T), np.eye(m))
-        A = np.kron(A_t, np.eye(m))
+        W = kron(whitener(S_t - A_t @ S_t @ A_t.T), np.eye(m))
+        A = kron(A_t, np.eye(m))
         b = (mean[1:] - mean[:-1] @ A.T) @ W.T
         super().__init__((-W @ A, W), b, log_gaussian_normalizer(W))
 
@@ -118,7 +118,12 @@ def gaussian(mean: Array, covariance: Array) -> Linear:
 
 def transition(dt: float, m: int) -> Array:
     """Phi(dt) = [[I, dt I], [0, I]] of m positions and m velocities."""
-    return np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(m))
+    return kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(m))
+
+
+def kron(a: Array, b: Array) -> Array:
+    """Kronecker product: blocks of time × space."""
+    return np.asarray(np.kron(a, b), dtype=float)
 
 
 def _time_covariance(dt: float) -> Array:

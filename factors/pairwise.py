@@ -57,7 +57,7 @@ class CrowdPairs(Residual):
     space: int = 2
 
     @cached_property
-    def dims(self) -> tuple[int, ...]:  # type: ignore[override]
+    def dims(self) -> tuple[int, ...]:
         return (self.robot_dim, 2 * self.space * self.n)
 
     @cached_property
@@ -70,7 +70,7 @@ class CrowdPairs(Residual):
         return len(self.index[0])
 
     @cached_property
-    def support(self) -> NDArray[np.intp]:  # type: ignore[override]
+    def support(self) -> NDArray[np.intp]:
         people = self.robot_dim + np.arange(self.space * self.n)
         return np.concatenate([np.arange(self.space), people])
 
@@ -139,7 +139,7 @@ class PredictedPairs(Residual):
     robot_dim: int = 4
 
     @cached_property
-    def dims(self) -> tuple[int, ...]:  # type: ignore[override]
+    def dims(self) -> tuple[int, ...]:
         return (self.robot_dim,)
 
     @property
@@ -147,7 +147,7 @@ class PredictedPairs(Residual):
         return int(self.people.shape[-2])
 
     @cached_property
-    def support(self) -> NDArray[np.intp]:  # type: ignore[override]
+    def support(self) -> NDArray[np.intp]:
         return np.arange(self.people.shape[-1])
 
     def at(self, step: int) -> Self:
@@ -170,9 +170,7 @@ class PredictedPairs(Residual):
         return Expansion(pair.energy.sum(-1), pair.gradient.sum(-2), pair.hessian.sum(-3))
 
 
-def pair_index(
-    n: int, pairs: Literal["all", "robot"]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Bodies i < j of every pair among a robot (body 0) and n people."""
     if n < 1:
         raise ValueError(f"an interaction needs at least one person, got n = {n}")

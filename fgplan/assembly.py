@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import gtsam
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.residual import Expansion, Linear, Residual
+from fgplan import keys
 from fgplan.model import Model, Term
 
 Array = NDArray[np.float64]
@@ -85,7 +87,7 @@ class Assembly:
                     self._add_linear(i, model, term)
         self._extra = [_ExtraFactor(factor, first) for factor in first.extra]
         self.free = np.ones((S, D), dtype=bool)
-        for (name, k), _ in first.fixed.items():
+        for name, k in first.fixed:
             self.free[k, first.columns[name]] = False
 
     @property
@@ -186,7 +188,7 @@ def _wire(term: Term, columns: dict[str, slice]) -> _Wired:
     edges = [0, *breaks.tolist(), len(places)]
     runs = tuple(
         (int(offsets[a]), slice(int(places[a]), int(places[b - 1]) + 1), slice(a, b))
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in pairwise(edges)
     )
     return _Wired(term.residual, tuple(slots), first, runs)
 
@@ -220,8 +222,6 @@ class _ExtraFactor:
         place = {key: (k, model.columns[name]) for (name, k), key in model.keys.items()}
         unknown = [key for key in factor.keys() if key not in place]
         if unknown:
-            from fgplan import keys  # noqa: PLC0415
-
             raise ValueError(
                 f"a factor of yours is on {[keys.name(k) for k in unknown]}, which this density "
                 f"does not have; its variables are {[v.name for v in model.variables]}, "

@@ -62,7 +62,7 @@ class _Blocks:
         self._factors, self._links = factors, links
 
     def solve(self, rhs: Array) -> Array:
-        y = []
+        y: list[Array] = []
         for k, L in enumerate(self._factors):
             b = rhs[k] - self._links[k - 1].T @ y[k - 1] if k else rhs[k]
             y.append(lapack.dtrtrs(L, b, lower=1)[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fgplan.trajectory import Trajectory
+from fgplan.trajectory import Array, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,4 +39,4 @@ class Hypothesis:
     plan: Trajectory | None
     cost: float
     starts: tuple[Start, ...]
-    route: object = None
+    route: Array | None = None

@@ -254,9 +254,7 @@ def _obstacles(scenario: Scenario) -> Iterable[Term]:
     yield Term("obstacle", at_states, (("robot", 0),), range(1, d.steps + 1))
     between = int(np.ceil(robot.max_speed * d.dt / OBSTACLE_SPACING)) - 1
     if between > 0:
-        fractions = tuple((np.arange(between) + 1.0) / (between + 1))
-        prior = GPPrior(d.dt, d.Qc_robot * np.eye(2))
-        checks = InterpolatedObstacle(*shape, prior, fractions, weight=d.exponent)
+        checks = InterpolatedObstacle(*shape, d.dt, between, weight=d.exponent)
         yield Term("obstacle between", checks, (("robot", 0), ("robot", 1)), range(d.steps))
 
 
@@ -267,12 +265,8 @@ def _limits(scenario: Scenario) -> Iterable[Term]:
         return
     speed = SpeedLimit(robot.max_speed, d.limit_sigma, weight=d.exponent)
     yield Term("speed limit", speed, (("robot", 0),), range(1, d.steps + 1))
-    acceleration = AccelerationLimit(
-        robot.max_acceleration, d.limit_sigma, d.dt, weight=d.exponent
-    )
-    yield Term(
-        "acceleration limit", acceleration, (("robot", 0), ("robot", 1)), range(d.steps)
-    )
+    acceleration = AccelerationLimit(robot.max_acceleration, d.limit_sigma, d.dt, weight=d.exponent)
+    yield Term("acceleration limit", acceleration, (("robot", 0), ("robot", 1)), range(d.steps))
 
 
 def _level_variables(levels: Sequence[Level], hypothesis: Hypothesis) -> dict[int, Variable]:

@@ -163,7 +163,7 @@ class Density:
     @property
     def times(self) -> Array:
         """t_k = k·dt, shape (T + 1,) [s]; 0 is now."""
-        return self.dt * np.arange(self.steps + 1)
+        return np.asarray(self.dt * np.arange(self.steps + 1), dtype=float)
 
     @property
     def exponent(self) -> float:

@@ -34,7 +34,11 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         size = len(self.times)
-        for name, shape in (("times", (size,)), ("positions", (size, 2)), ("velocities", (size, 2))):
+        for name, shape in (
+            ("times", (size,)),
+            ("positions", (size, 2)),
+            ("velocities", (size, 2)),
+        ):
             value = np.asarray(getattr(self, name), dtype=float)
             if value.shape != shape:
                 raise ValueError(f"{name} has shape {value.shape}, expected {shape}")

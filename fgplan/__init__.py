@@ -1,0 +1,34 @@
+"""fgplan: planning for robots among people as inference on a factor graph."""
+
+from fgplan.errors import FgplanError, MapError, NoPlan, NoRoute, ScenarioError
+from fgplan.mixture import Action, Component, Mixture
+from fgplan.occupancy import OccupancyGrid
+from fgplan.planner import plan
+from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
+from fgplan.solver import GtsamLM, SecondOrder
+from fgplan.trajectory import Trajectory
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Action",
+    "Component",
+    "Density",
+    "FgplanError",
+    "FieldOfView",
+    "GivenPlan",
+    "GtsamLM",
+    "Level",
+    "MapError",
+    "Mixture",
+    "NoPlan",
+    "NoRoute",
+    "OccupancyGrid",
+    "Robot",
+    "Scenario",
+    "ScenarioError",
+    "SecondOrder",
+    "Track",
+    "Trajectory",
+    "plan",
+]

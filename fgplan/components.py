@@ -1,0 +1,188 @@
+"""Solved starts → components: distinct optima, the hard check, evidence, merging."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.assembly import Assembly
+from fgplan.crowd import Belief
+from fgplan.evidence import laplace
+from fgplan.hypothesis import Hypothesis
+from fgplan.mixture import Component
+from fgplan.model import Model
+from fgplan.safety import Check, People, check
+from fgplan.scenario import Scenario
+from fgplan.solver import Solution
+from fgplan.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+SAME = 0.02
+"""Two optima closer than this in every coordinate [m, m/s] are one."""
+NEGLIGIBLE = 20.0
+"""An optimum this many nats above the best adds nothing to the evidence."""
+NEARBY = 2.0
+"""A side is reported for people who come closer than this [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A component, and the state of all its variables (T + 1, D)."""
+
+    component: Component
+    state: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solving:
+    """What the optima of one hypothesis are read with."""
+
+    scenario: Scenario
+    belief: Belief
+    assembly: Assembly
+    which: int
+
+    @property
+    def model(self) -> Model:
+        return self.assembly.models[self.which]
+
+    def trajectory(self, solution: Solution, name: str) -> Trajectory:
+        return Trajectory.from_states(self.model.times, solution.state[:, self.model.columns[name]])
+
+    def people(self, solution: Solution) -> People:
+        """Planned people, or predicted ones where they are not variables."""
+        n, times = self.belief.count, self.model.times
+        if "crowd" in self.model.columns:
+            flat = solution.state[:, self.model.columns["crowd"]].reshape(len(times), 2, n, 2)
+            states = np.concatenate([flat[:, 0], flat[:, 1]], axis=-1)
+        else:
+            states = self.belief.predict(times)[0]
+        return People(times, states, self.belief.radii)
+
+
+def component_of(
+    solving: Solving, hypothesis: Hypothesis, own: list[tuple[str, Solution]], seconds: float
+) -> Solved:
+    """The best feasible optimum of one hypothesis (the best one, if none is feasible)."""
+    optima = _distinct(sorted(own, key=lambda labelled: labelled[1].energy))
+    label, solution, result = _first_feasible(solving, optima)
+    scenario, model = solving.scenario, solving.model
+    robot = solving.trajectory(solution, "robot")
+    people = solving.people(solution)
+    levels = {}
+    for index, level in enumerate(scenario.levels):
+        if f"level {index}" in model.columns:
+            levels[level.name] = solving.trajectory(solution, f"level {index}")
+        elif hypothesis.plan is not None:
+            levels[level.name] = hypothesis.plan
+    names = solving.belief.names
+    component = Component(
+        label=hypothesis.label,
+        log_prior=hypothesis.log_prior,
+        cost=hypothesis.cost,
+        energy=solution.energy - model.log_normalizer_own,
+        log_evidence=_evidence(solving, optima),
+        converged=solution.converged,
+        stop=solution.stop.value,
+        iterations=sum(s.iterations for _, s in own),
+        seconds=seconds,
+        start=label,
+        optima=len(optima),
+        check=result,
+        robot=robot,
+        crowd={
+            name: Trajectory.from_states(people.times, people.states[:, i])
+            for i, name in enumerate(names)
+        },
+        levels=levels,
+        displacement=_displacement(solving.belief, people),
+        sides=_sides(robot, people, names),
+        route=hypothesis.route,
+    )
+    return Solved(component, solution.state)
+
+
+def _distinct(optima: list[tuple[str, Solution]]) -> list[tuple[str, Solution]]:
+    """Optima without repetition, in the order given."""
+    kept: list[tuple[str, Solution]] = []
+    for label, solution in optima:
+        if all(np.abs(solution.state - other.state).max() > SAME for _, other in kept):
+            kept.append((label, solution))
+    return kept
+
+
+def _first_feasible(
+    solving: Solving, optima: list[tuple[str, Solution]]
+) -> tuple[str, Solution, Check]:
+    first = None
+    for label, solution in optima:
+        robot = solving.trajectory(solution, "robot")
+        result = check(solving.scenario, robot, solving.people(solution))
+        if result.feasible:
+            return label, solution, result
+        first = first or (label, solution, result)
+    assert first is not None
+    return first
+
+
+def _evidence(solving: Solving, optima: list[tuple[str, Solution]]) -> float | None:
+    """Sum of the Laplace masses of the distinct optima."""
+    lowest = optima[0][1].energy
+    modes = [
+        laplace(solving.assembly, solution, solving.which)
+        for _, solution in optima
+        if solution.energy < lowest + NEGLIGIBLE
+    ]
+    masses = [mode for mode in modes if mode is not None]
+    return float(np.logaddexp.reduce(masses)) if masses else None
+
+
+def _displacement(belief: Belief, people: People) -> dict[str, float]:
+    mean, covariance = belief.predict(people.times)
+    moved = people.states[..., :2] - mean[..., :2]
+    whitened = np.linalg.solve(covariance[..., :2, :2], moved[..., None])[..., 0]
+    distance = np.sqrt(np.maximum(np.einsum("tni,tni->tn", moved, whitened), 0.0))
+    worst = distance.max(axis=0) if belief.count else np.zeros(0)
+    return dict(zip(belief.names, worst.tolist(), strict=True))
+
+
+def _sides(robot: Trajectory, people: People, names: tuple[str, ...]) -> dict[str, str]:
+    """On which hand of the robot each person near it goes by, from the angle they sweep."""
+    apart = people.states[..., :2] - robot.positions[:, None]
+    bearing = np.unwrap(np.arctan2(apart[..., 1], apart[..., 0]), axis=0)
+    swept = bearing[-1] - bearing[0]
+    near = np.linalg.norm(apart, axis=-1).min(axis=0) < NEARBY
+    passed = near & (np.abs(swept) > np.pi / 4)
+    return {names[i]: "left" if swept[i] > 0 else "right" for i in np.flatnonzero(passed)}
+
+
+def merge(solved: list[Solved]) -> list[Component]:
+    """Hypotheses that ended in one optimum are one: their weights add."""
+    merged: list[Solved] = []
+    for new in solved:
+        twin = next((i for i, old in enumerate(merged) if _is_same(old, new)), None)
+        if twin is None:
+            merged.append(new)
+            continue
+        old = merged[twin]
+        keep, other = sorted((old, new), key=lambda s: s.component.energy)
+        component = replace(
+            keep.component,
+            label=f"{old.component.label}+{new.component.label}",
+            log_prior=float(np.logaddexp(old.component.log_prior, new.component.log_prior)),
+            cost=min(old.component.cost, new.component.cost),
+            iterations=keep.component.iterations + other.component.iterations,
+            seconds=keep.component.seconds + other.component.seconds,
+        )
+        merged[twin] = Solved(component, keep.state)
+    return [s.component for s in merged]
+
+
+def _is_same(a: Solved, b: Solved) -> bool:
+    return bool(
+        abs(a.component.energy - b.component.energy) < SAME
+        and np.abs(a.state - b.state).max() < SAME
+    )

@@ -1,0 +1,162 @@
+"""plan: from what is known now to a mixture of solved hypotheses, and the action."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from time import perf_counter
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan import selection
+from fgplan.assembly import Assembly
+from fgplan.components import Solving, component_of, merge
+from fgplan.crowd import Belief, believe, seen
+from fgplan.errors import NoPlan
+from fgplan.hypotheses import hypothesise
+from fgplan.hypothesis import Hypothesis
+from fgplan.mixture import Action, Component, Mixture
+from fgplan.model import build
+from fgplan.safety import People, brake
+from fgplan.scenario import Scenario
+from fgplan.solver import SecondOrder, Solver
+from fgplan.trajectory import Trajectory
+from fgplan.validation import validate
+
+Array = NDArray[np.float64]
+
+
+def plan(
+    scenario: Scenario,
+    *,
+    factors: Iterable[gtsam.NonlinearFactor] = (),
+    solver: Solver = SecondOrder(),  # noqa: B008 - frozen
+    select: selection.Rule = selection.height,
+    hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = hypothesise,
+) -> Mixture:
+    """The most probable plan under the joint density of plans, robot and people.
+
+    Args:
+        scenario: What is known now.
+        factors: Your own GTSAM factors on the variables of `fgplan.keys`.
+        solver: `SecondOrder()`, or `GtsamLM()` for GTSAM's own optimiser.
+        select: `selection.height` (default) or `selection.mass`; both are always reported.
+        hypotheses: Where the global plans come from.
+
+    Returns:
+        All hypotheses solved, the one to follow, and its next step. The result is the best local
+        optimum found, not a proof of a global one.
+
+    Raises:
+        ScenarioError: the scenario makes no sense; all mistakes are named.
+        NoRoute: a goal is stated and nothing leads there.
+        NoPlan: no hypothesis has a finite posterior.
+    """
+    began = perf_counter()
+    validate(scenario)
+    d = scenario.density
+    belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
+    proposed = tuple(hypotheses(scenario, belief))
+    ready = perf_counter()
+
+    models = build(scenario, belief, proposed, factors)
+    assembly = Assembly(models)
+    starts = [(i, start) for i, h in enumerate(proposed) for start in h.starts]
+    initial = np.stack([models[i].initial(start) for i, start in starts])
+    which = np.array([i for i, _ in starts])
+    modelled = perf_counter()
+    solutions = solver.solve(assembly, initial, which)
+    solved = perf_counter()
+
+    total = sum(s.iterations for s in solutions) or 1
+    components = []
+    for i, hypothesis in enumerate(proposed):
+        own = [
+            (start.label, solution)
+            for (j, start), solution in zip(starts, solutions, strict=True)
+            if i == j and np.isfinite(solution.energy)
+        ]
+        if own:
+            seconds = (solved - modelled) * sum(s.iterations for _, s in own) / total
+            solving = Solving(scenario, belief, assembly, i)
+            components.append(component_of(solving, hypothesis, own, seconds))
+    if not components:
+        labels = [h.label for h in proposed]
+        raise NoPlan(f"none of {labels} has a finite posterior", solutions)
+    merged = merge(components)
+    weighed = perf_counter()
+    timing = {
+        "hypotheses": ready - began,
+        "model": modelled - ready,
+        "solver": solved - modelled,
+        "evidence": weighed - solved,
+        "total": weighed - began,
+    }
+    return _decide(scenario, belief, merged, select, timing)
+
+
+def _decide(
+    scenario: Scenario,
+    belief: Belief,
+    components: list[Component],
+    select: selection.Rule,
+    timing: dict[str, float],
+) -> Mixture:
+    scores = select(components)
+    order = np.argsort(-scores, kind="stable")
+    components = [components[i] for i in order]
+    probability_height = selection.softmax(selection.height(components))
+    probability_mass = selection.softmax(selection.mass(components))
+    finite = np.isfinite(scores[order])
+    safe = [i for i, c in enumerate(components) if c.feasible and finite[i]]
+    if safe:
+        selected: int | None = safe[0]
+        best = components[safe[0]]
+        trajectory = best.robot
+        action = _action("follow", trajectory, True, f"hypothesis {best.label}, {best.start}")
+    else:
+        selected = None
+        predicted = People(
+            scenario.density.times, belief.predict(scenario.density.times)[0], belief.radii
+        )
+        trajectory, result = brake(scenario, predicted)
+        why = "; ".join(f"{c.label}: {', '.join(c.check.problems)}" for c in components)
+        if not result.feasible:
+            why += f"; and no stop is clear: {', '.join(result.problems)}"
+        action = _action("stop", trajectory, result.feasible, f"no hypothesis is safe ({why})")
+    return Mixture(
+        name=scenario.name,
+        components=tuple(components),
+        probability_height=probability_height,
+        probability_mass=probability_mass,
+        selected=selected,
+        trajectory=trajectory,
+        action=action,
+        timing=timing,
+        warnings=tuple(_warnings(components, probability_height, probability_mass)),
+    )
+
+
+def _action(kind: str, trajectory: Trajectory, safe: bool, reason: str) -> Action:
+    return Action(
+        kind,
+        float(trajectory.times[1]),
+        trajectory.positions[1],
+        trajectory.velocities[1],
+        safe,
+        reason,
+    )
+
+
+def _warnings(components: list[Component], height: Array, mass: Array) -> Iterable[str]:
+    for c in components:
+        if not c.converged:
+            yield f"{c.label}: not a converged local optimum ({c.stop})"
+        if c.log_evidence is None:
+            yield f"{c.label}: no Laplace evidence, its Hessian is not positive definite"
+    if mass.any() and int(np.argmax(height)) != int(np.argmax(mass)):
+        yield (
+            f"height prefers {components[int(np.argmax(height))].label}, "
+            f"mass prefers {components[int(np.argmax(mass))].label}"
+        )
