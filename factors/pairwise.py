@@ -151,6 +151,8 @@ class PredictedPairs(Residual):
         return np.arange(self.people.shape[-1])
 
     def at(self, step: int) -> Self:
+        if self.people.ndim == 2:
+            return self
         return replace(self, people=self.people[step], potential=self.potential.at(step))
 
     def _separations(self, robot: Array) -> Array:

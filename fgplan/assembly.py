@@ -1,8 +1,7 @@
 """The density of all hypotheses at once, as numpy sees it: energy, gradient and Hessian.
 
-The linear-Gaussian part is assembled once: its Hessian is the same for every hypothesis, only its
-gradient differs. What is left (interaction, contact, obstacles, limits) is shared by all and is
-evaluated for all starts and all time steps in one call a term.
+The linear-Gaussian part is assembled once. What is left (interaction, contact, obstacles, limits)
+is shared by all hypotheses and is evaluated for all starts and all time steps in one call a term.
 """
 
 from __future__ import annotations
@@ -78,9 +77,14 @@ class Assembly:
             for term in first.shared
             if not isinstance(term.residual, Linear)
         ]
-        self._diagonal, self._upper = np.zeros((S, D, D)), np.zeros((S - 1, D, D))
-        self._gradient = np.zeros((len(self.models), S, D))
-        self._constant = np.zeros(len(self.models))
+        K = len(self.models)
+        # Plans that differ only in where they lead share one constant Hessian.
+        alike = all(_same_curvature(model, first) for model in self.models)
+        self._row = np.zeros(K, dtype=np.intp) if alike else np.arange(K)
+        self._diagonal = np.zeros((self._row[-1] + 1, S, D, D))
+        self._upper = np.zeros((self._row[-1] + 1, S - 1, D, D))
+        self._gradient = np.zeros((K, S, D))
+        self._constant = np.zeros(K)
         for i, model in enumerate(self.models):
             for term in model.terms:
                 if isinstance(term.residual, Linear):
@@ -104,7 +108,8 @@ class Assembly:
         """
         with np.errstate(over="ignore", invalid="ignore"):  # inf and nan are checked by callers
             d = X - self.reference[which]
-            energy = self._constant[which] + _dot(self._gradient[which] + 0.5 * self._times(d), d)
+            curve = self._times(d, which)
+            energy = self._constant[which] + _dot(self._gradient[which] + 0.5 * curve, d)
             for wired in self._nonlinear:
                 energy = energy + wired.residual.energy(*wired.variables(X)).sum(-1)
             for factor in self._extra:
@@ -124,11 +129,11 @@ class Assembly:
     ) -> Quadratic:
         B = len(X)
         d = X - self.reference[which]
-        curve = self._times(d)
+        curve = self._times(d, which)
         gradient = self._gradient[which] + curve
         energy = self._constant[which] + _dot(gradient - 0.5 * curve, d)
-        diagonal = np.broadcast_to(self._diagonal, (B, *self._diagonal.shape)).copy()
-        upper = np.broadcast_to(self._upper, (B, *self._upper.shape)).copy()
+        rows = self._row[which]
+        diagonal, upper = self._diagonal[rows], self._upper[rows]
         for wired in self._nonlinear:
             part = expansion(wired.residual, wired.variables(X))
             energy = energy + part.energy.sum(-1)
@@ -153,24 +158,35 @@ class Assembly:
             if k > 0:
                 upper[:, k - 1, :, held] = 0
 
-    def _times(self, d: Array) -> Array:
+    def _times(self, d: Array, which: Index) -> Array:
         """Constant Hessian times d, shape (..., S, D)."""
-        out = np.matmul(self._diagonal, d[..., None])[..., 0]
-        out[..., :-1, :] += np.matmul(self._upper, d[..., 1:, :, None])[..., 0]
-        out[..., 1:, :] += np.matmul(np.swapaxes(self._upper, -1, -2), d[..., :-1, :, None])[..., 0]
+        rows = self._row[which] if len(self._diagonal) > 1 else 0
+        diagonal, upper = self._diagonal[rows], self._upper[rows]
+        out = np.matmul(diagonal, d[..., None])[..., 0]
+        out[..., :-1, :] += np.matmul(upper, d[..., 1:, :, None])[..., 0]
+        out[..., 1:, :] += np.matmul(np.swapaxes(upper, -1, -2), d[..., :-1, :, None])[..., 0]
         return np.asarray(out)
 
     def _add_linear(self, i: int, model: Model, term: Term) -> None:
-        """Add a linear term's gradient at the reference, and (once) its constant Hessian."""
+        """Add a linear term's gradient at the reference, and its constant Hessian."""
         wired = _wire(term, model.columns)
         part = term.residual.gauss_newton(*wired.variables(model.reference))
         self._constant[i] += float(part.energy.sum())
-        if i == 0:
-            _scatter(wired, part, self._gradient[i], self._diagonal, self._upper)
+        row = self._row[i]
+        if i == 0 or row > 0:
+            _scatter(wired, part, self._gradient[i], self._diagonal[row], self._upper[row])
         else:
             for offset, columns, rows in wired.runs:
                 steps = slice(wired.first.start + offset, wired.first.stop + offset)
                 self._gradient[i, steps, columns] += part.gradient[..., rows]
+
+
+def _same_curvature(a: Model, b: Model) -> bool:
+    return all(
+        np.array_equal(x, y)
+        for one, other in zip(a.own, b.own, strict=True)
+        for x, y in zip(one.residual.A, other.residual.A, strict=True)  # type: ignore[attr-defined]
+    )
 
 
 def _wire(term: Term, columns: dict[str, slice]) -> _Wired:

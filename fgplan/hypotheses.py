@@ -12,7 +12,7 @@ from fgplan.hypothesis import Hypothesis, Start
 from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
-from fgplan.timing import timed
+from fgplan.timing import path_length, timed
 
 Array = NDArray[np.float64]
 
@@ -60,11 +60,6 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
         tries = starts(scenario, belief, plan, path.vertices)
         found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices))
     return tuple(found)
-
-
-def path_length(path: Array) -> float:
-    """Length of a polyline (N, 2) [m]."""
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def _paths(scenario: Scenario) -> list[_Path]:
