@@ -37,8 +37,10 @@ class Hinge:
 
     def linearize(self, d: Array, gradient: Array) -> tuple[Array, Array]:
         """e (...) and de/dp (..., m), from d (...) and its gradient (..., m)."""
-        e = self.error(d)
-        return e, np.where(e > 0, self._slope, 0.0)[..., None] * gradient
+        excess = self._slope * (d - self.threshold)
+        # On the threshold the slope is the steep one, as in GPMP2: a solver sees what is coming.
+        slope = np.where(excess >= 0, self._slope, 0.0)
+        return np.maximum(0.0, excess), slope[..., None] * gradient
 
     def gauss_newton(self, d: Array, gradient: Array) -> Expansion:
         """½e² with its gradient (..., m) and de deᵀ (..., m, m), without the curvature of d."""

@@ -1,0 +1,1 @@
+"""Speed and quality tables, run by hand: `python -m benchmarks.<name>`."""
