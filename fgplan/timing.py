@@ -13,6 +13,9 @@ from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
+NEGLIGIBLE = 1e-9
+"""A length [m] that takes no time: braking within it would take an acceleration near infinity."""
+
 
 @dataclass(frozen=True)
 class SpeedLaw:
@@ -93,7 +96,7 @@ def speed_law(
     """
     _check(length, speed, acceleration, initial_speed, end_speed)
     L, a, v0, v1 = length, acceleration, initial_speed, end_speed
-    if L == 0:
+    if L < NEGLIGIBLE:
         return SpeedLaw(v1)
     if v0**2 - v1**2 >= 2 * a * L:
         return SpeedLaw(v0, ((2 * L / (v0 + v1), (v1**2 - v0**2) / (2 * L)),))

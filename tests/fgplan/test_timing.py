@@ -104,7 +104,7 @@ def test_law_is_monotone_bounded_and_ends_at_the_end(L, v, a, v0, end):
 def test_speed_is_the_rate_of_arc_length(L, v, a, v0):
     law = speed_law(L, v, a, v0)
     t = np.linspace(0, law.duration + 1, 100)
-    fine = np.linspace(0, law.duration + 1, 20_001)
+    fine = np.linspace(0, law.duration + 1, 4_001)
     integral = np.cumsum(
         np.append(0.0, np.diff(fine) * 0.5 * np.convolve(law.at(fine)[1], [1, 1])[1:-1])
     )
