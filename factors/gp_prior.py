@@ -68,12 +68,12 @@ class GPPrior(Linear):
         return kron(Lambda_t, np.eye(m)), kron(Psi_t, np.eye(m))
 
 
-class MaternPrior(Linear):
+def matern_prior(mean: Array, dt: float, sigma: float, length: float) -> Linear:
     r"""Matérn-3/2 process around a mean trajectory, between consecutive states.
 
     d = x − mean,  d_{k+1} − A d_k ~ N(0, S − A S Aᵀ),  S = diag(sigma², 3 sigma²/length²): the
     deviation is stationary with covariance sigma² (1 + √3|t|/length) exp(−√3|t|/length), so sigma
-    is the width of the corridor around the mean at every time.
+    is the width of the corridor around the mean at every time. `matern_first` starts the chain.
 
     Args:
         mean: Rows of the mean trajectory, shape (S + 1, 2m): positions [m], velocities [m/s].
@@ -87,26 +87,24 @@ class MaternPrior(Linear):
     Reference:
         Hartikainen and Särkkä, MLSP 2010, on Matérn covariances as state-space models.
     """
+    for name, value in (("dt", dt), ("sigma", sigma), ("length", length)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be positive, got {value}")
+    m = mean.shape[-1] // 2
+    rate = np.sqrt(3) / length
+    A_t = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
+    S_t = np.diag([sigma**2, (rate * sigma) ** 2])
+    W = kron(whitener(S_t - A_t @ S_t @ A_t.T), np.eye(m))
+    A = kron(A_t, np.eye(m))
+    b = (mean[1:] - mean[:-1] @ A.T) @ W.T
+    return Linear((-W @ A, W), b, log_gaussian_normalizer(W))
 
-    def __init__(self, mean: Array, dt: float, sigma: float, length: float) -> None:
-        for name, value in (("dt", dt), ("sigma", sigma), ("length", length)):
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value}")
-        m = mean.shape[-1] // 2
-        rate = np.sqrt(3) / length
-        A_t = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
-        S_t = np.diag([sigma**2, (rate * sigma) ** 2])
-        W = kron(whitener(S_t - A_t @ S_t @ A_t.T), np.eye(m))
-        A = kron(A_t, np.eye(m))
-        b = (mean[1:] - mean[:-1] @ A.T) @ W.T
-        super().__init__((-W @ A, W), b, log_gaussian_normalizer(W))
 
-    @staticmethod
-    def first(mean: Array, sigma: float, length: float) -> Linear:
-        """The stationary prior of the first state; `mean` has shape (2m,)."""
-        m = mean.shape[-1] // 2
-        scale = np.repeat([sigma, np.sqrt(3) / length * sigma], m)
-        return gaussian(mean, np.diag(scale**2))
+def matern_first(mean: Array, sigma: float, length: float) -> Linear:
+    """The stationary prior of the first state of a `matern_prior`; `mean` has shape (2m,)."""
+    m = mean.shape[-1] // 2
+    scale = np.repeat([sigma, np.sqrt(3) / length * sigma], m)
+    return gaussian(mean, np.diag(scale**2))
 
 
 def gaussian(mean: Array, covariance: Array) -> Linear:

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import gtsam
 import numpy as np
@@ -90,7 +90,7 @@ class Residual(ABC):
         residual with curvature overrides it."""
         return self.gauss_newton(*x)
 
-    def at(self, step: int) -> Self:
+    def at(self, step: int) -> Residual:
         """This residual with the parameters of one time step."""
         if not self.per_step:
             return self
@@ -149,8 +149,8 @@ class Linear(Residual):
         blocks = tuple(np.broadcast_to(a, (*e.shape[:-1], *a.shape)) for a in self.A)
         return e, blocks
 
-    def at(self, step: int) -> Self:
-        return self if self.b.ndim == 1 else replace(self, b=self.b[step])
+    def at(self, step: int) -> Linear:
+        return self if self.b.ndim == 1 else Linear(self.A, self.b[step], self.log_normalizer)
 
     def on(self, *keys: int) -> gtsam.NonlinearFactor:
         """The GTSAM factor; up to three keys it runs in C++ without a Python callback."""

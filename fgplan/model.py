@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from factors.contact import Contact
 from factors.coupling import coupling, coupling_to
-from factors.gp_prior import GPPrior, MaternPrior, gaussian
+from factors.gp_prior import GPPrior, gaussian, matern_first, matern_prior
 from factors.interaction import Interaction
 from factors.kinematics import AccelerationLimit, SpeedLimit
 from factors.obstacle import InterpolatedObstacle, Obstacle
@@ -291,8 +291,8 @@ def _hypothesis_terms(
         level, name = scenario.levels[index], variable.name
         pair = ((name, 0), (name, 1))
         if np.isfinite(level.sigma):
-            prior = MaternPrior(mean, d.dt, level.sigma, level.length)
-            first = MaternPrior.first(mean[0], level.sigma, level.length)
+            prior = matern_prior(mean, d.dt, level.sigma, level.length)
+            first = matern_first(mean[0], level.sigma, level.length)
             yield Term(f"{level.name} now", first, ((name, 0),), range(1))
             yield Term(f"{level.name} prior", prior, pair, range(T))
         else:
