@@ -20,7 +20,7 @@ RANKS = [
     {"hypothesis", "timing", "map_file"},
     {"occupancy"},
     {"scenario"},
-    {"validation"},
+    {"validation", "roadmap"},
     {"scenario_file"},
     {"crowd", "routes", "safety", "stack", "recordings"},
     {"starts", "mixture"},

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy import special
 
 from factors.dense_prior import dense_prior
 from factors.gp_prior import GPPrior, gaussian
@@ -193,7 +194,6 @@ def test_matern_is_a_stationary_covariance(sigma: float, length: float, nu: floa
 
 def test_matern_agrees_with_its_bessel_form() -> None:
     """Rasmussen and Williams, 2006, eq. 4.14."""
-    special = pytest.importorskip("scipy.special")
     times, length = np.array([0.0, 0.7, 1.9]), 1.3
     r = np.abs(times[:, None] - times) + np.diag(np.full(3, np.nan))
     for nu in (0.5, 1.5, 2.5):
