@@ -42,22 +42,28 @@ CORRIDOR_PEOPLE: list[Person] = [
 ]
 
 HALL_PEOPLE: list[Person] = [
+    (3.8, 0.2, 0.00, 0.00),
     (-4.5, 1.2, 1.10, -0.30),
     (-3.0, -1.8, 0.30, 1.00),
-    (-1.5, 4.0, 0.10, -1.25),
+    (-1.5, 2.2, 0.10, -1.20),
     (-0.5, 0.4, -1.20, 0.05),
-    (0.6, -0.5, -1.10, 0.10),
+    (0.6, -0.7, -1.10, 0.10),
     (2.0, 2.6, -0.80, -0.80),
-    (2.5, -4.5, -0.50, 1.20),
-    (3.8, 0.2, 0.00, 0.00),
-    (5.0, -2.0, -1.25, 0.40),
-    (5.5, 4.8, -1.00, -0.70),
-    (6.8, 0.9, -1.30, -0.10),
-    (-6.5, 5.2, 1.15, -0.60),
+    (2.5, -2.6, -0.50, 1.10),
+    (5.0, -2.0, -1.20, 0.40),
+    (5.0, 3.8, -1.00, -0.70),
+    (5.2, 1.1, -1.20, -0.10),
+    (-5.5, 4.2, 1.10, -0.60),
 ]
 
-CROWDS = {"three_corridors_crowd": (CORRIDOR_PEOPLE, 1), "hall": (HALL_PEOPLE, 2)}
-"""People and seed of each scenario file that has any."""
+CROWDS = {
+    "three_corridors_crowd": (CORRIDOR_PEOPLE, "three_corridors", 1),
+    "hall": (HALL_PEOPLE, "hall", 2),
+}
+"""People, map and seed of each scenario file that has any."""
+
+RADIUS = 0.3
+"""Of a person [m]."""
 
 
 def maps() -> dict[str, OccupancyGrid]:
@@ -76,9 +82,13 @@ def maps() -> dict[str, OccupancyGrid]:
 
 def people(name: str) -> str:
     """The people of a scenario file, as TOML."""
-    crowd, seed = CROWDS[name]
-    rng = np.random.default_rng(seed)
-    entries = [_person(f"p{i}", _walk(person, rng)) for i, person in enumerate(crowd, start=1)]
+    crowd, place, seed = CROWDS[name]
+    rng, grid = np.random.default_rng(seed), maps()[place]
+    walks: list[NDArray[np.float64]] = []
+    for person in crowd:
+        attempts = (_walk(person, rng) for _ in range(500))
+        walks.append(next(walk for walk in attempts if _is_free(walk, walks, grid)))
+    entries = [_person(f"p{i}", walk) for i, walk in enumerate(walks, start=1)]
     return f"{PEOPLE}\n\n" + "\n".join(entries)
 
 
@@ -116,9 +126,18 @@ def _walk(person: Person, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.column_stack([DT * np.arange(1 - DETECTIONS, 1), seen])
 
 
+def _is_free(
+    walk: NDArray[np.float64], others: list[NDArray[np.float64]], grid: OccupancyGrid
+) -> bool:
+    """Whether a walk went through no wall and through nobody."""
+    apart = [np.linalg.norm(walk[:, 1:] - other[:, 1:], axis=1).min() for other in others]
+    clear = bool(grid.contains(walk[:, 1:]).all() and grid.clearance(walk[:, 1:], RADIUS).min() > 0)
+    return clear and min(apart, default=np.inf) > 2 * RADIUS
+
+
 def _person(identity: str, rows: NDArray[np.float64]) -> str:
     track = "\n".join(f"    [{t:.1f}, {x:.2f}, {y:.2f}]," for t, x, y in rows + 0.0)
-    return f'[[people]]\nid = "{identity}"\nradius = 0.3\ntrack = [\n{track}\n]\n'
+    return f'[[people]]\nid = "{identity}"\nradius = {RADIUS}\ntrack = [\n{track}\n]\n'
 
 
 if __name__ == "__main__":
