@@ -32,6 +32,13 @@ class PairPotential(ABC):
     def expand(self, delta: Array) -> Expansion:
         """Energy (..., P), gradient (..., P, 2) and Hessian (..., P, 2, 2) in Δ."""
 
+    def gauss_newton(self, delta: Array) -> Expansion:
+        """The same with the Gauss–Newton Hessian, which is positive semidefinite."""
+        e, slope = self.linearize(delta)
+        return Expansion(
+            0.5 * e**2, e[..., None] * slope, slope[..., :, None] * slope[..., None, :]
+        )
+
     def at(self, step: int) -> Self:
         """This potential with the parameters of one time step."""
         return self
@@ -103,7 +110,13 @@ class CrowdPairs(Residual):
         return e, (J_robot, J_crowd)
 
     def expand(self, *x: Array) -> Expansion:
-        pair = self.potential.expand(self.separations(*x))
+        return self._gather(self.potential.expand(self.separations(*x)))
+
+    def gauss_newton(self, *x: Array) -> Expansion:
+        return self._gather(self.potential.gauss_newton(self.separations(*x)))
+
+    def _gather(self, pair: Expansion) -> Expansion:
+        """Expansions of pairs (..., P) as one of all bodies."""
         batch, d = pair.energy.shape[:-1], self.space
         gradient = (self._incidence.T @ pair.gradient).reshape(*batch, -1)
         # Bodies (a, b) of a pair get +H on the diagonal and −H beside it.
@@ -168,8 +181,10 @@ class PredictedPairs(Residual):
         return e, (J,)
 
     def expand(self, *x: Array) -> Expansion:
-        pair = self.potential.expand(self._separations(*x))
-        return Expansion(pair.energy.sum(-1), pair.gradient.sum(-2), pair.hessian.sum(-3))
+        return _total(self.potential.expand(self._separations(*x)))
+
+    def gauss_newton(self, *x: Array) -> Expansion:
+        return _total(self.potential.gauss_newton(self._separations(*x)))
 
 
 def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -180,3 +195,7 @@ def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp]
         return np.zeros(n, dtype=np.intp), np.arange(1, n + 1)
     i, j = np.triu_indices(n + 1, k=1)
     return i, j
+
+
+def _total(pair: Expansion) -> Expansion:
+    return Expansion(pair.energy.sum(-1), pair.gradient.sum(-2), pair.hessian.sum(-3))

@@ -47,15 +47,14 @@ def together(models: Sequence[Model]) -> Assembly:
     """Hypotheses that differ only in their own terms."""
     first = models[0]
     return Assembly(
-        [
-            Model(m.times, m.variables, first.shared, m.own, m.fixed, m.reference)
-            for m in models
-        ]
+        [Model(m.times, m.variables, first.shared, m.own, m.fixed, m.reference) for m in models]
     )
 
 
 def optimum(
-    m: Model, start: Sequence[float] = (), solver: Solver = SecondOrder()  # noqa: B008
+    m: Model,
+    start: Sequence[float] = (),
+    solver: Solver = SecondOrder(),  # noqa: B008
 ) -> Solution:
     """The local optimum of one model from a start, zeros by default."""
     state = np.array(start, dtype=float)[None] if len(start) else m.reference

@@ -62,9 +62,7 @@ def test_11_robot_crowd_covariance_vanishes_only_without_interaction(alpha, zero
     assert (cross < 1e-12) == zero
 
 
-@pytest.mark.parametrize(
-    ("d", "psi"), [(0, 0.01), (1, 0.399535), (2, 0.866018), (3, 0.989002)]
-)
+@pytest.mark.parametrize(("d", "psi"), [(0, 0.01), (1, 0.399535), (2, 0.866018), (3, 0.989002)])
 def test_12_interaction_values(d, psi):
     delta = np.array([[d * 0.6, d * 0.8]])
     assert np.exp(-Interaction(0.99, 1.0).energy(delta))[0] == pytest.approx(psi, abs=5e-7)
@@ -91,9 +89,7 @@ def test_13_two_modes_and_their_mass(solver):
     assembly = Assembly([density])
     modes = [optimum(density, [x0], solver=solver) for x0 in (0.5, -0.5)]
     assert [s.converged for s in modes] == [True, True]
-    np.testing.assert_allclose(
-        [s.state[0, 0] for s in modes], [1.168843, -1.168843], atol=1e-6
-    )
+    np.testing.assert_allclose([s.state[0, 0] for s in modes], [1.168843, -1.168843], atol=1e-6)
     Z = sum(np.exp(laplace(assembly, s, 0)) for s in modes)
     assert pytest.approx(0.305537, abs=1e-6) == Z
     x = np.linspace(-12, 12, 200001)
@@ -147,9 +143,7 @@ def test_15_people_far_away_change_nothing():
     alone = plan(scenario.replace(tracks=()))
     for crowd in ("joint", "predicted"):
         seen = plan(scenario.replace(crowd=crowd)).components[0]
-        np.testing.assert_allclose(
-            seen.robot.states, alone.components[0].robot.states, atol=1e-8
-        )
+        np.testing.assert_allclose(seen.robot.states, alone.components[0].robot.states, atol=1e-8)
 
 
 @pytest.mark.parametrize("crowd", ["joint", "predicted"])

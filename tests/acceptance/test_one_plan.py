@@ -18,7 +18,9 @@ SOLVERS = [SecondOrder(), GtsamLM()]
 
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=["second order", "gtsam"])
-@pytest.mark.parametrize(("h", "expected"), [(1, 0.5), (0.1, 1 / 1.1), (0.01, 1 / 1.01), (1e6, 1e-6)])
+@pytest.mark.parametrize(
+    ("h", "expected"), [(1, 0.5), (0.1, 1 / 1.1), (0.01, 1 / 1.01), (1e6, 1e-6)]
+)
 def test_1_coupling_variance_blends_prior_and_plan(solver, h, expected):
     # Seen to fail with 1/h in place of 1/√h in factors/coupling.py: h = 0.01 gives 0.9999.
     prior = gaussian(np.zeros(1), np.eye(1))
@@ -60,9 +62,7 @@ def test_2_a_noise_free_state_is_kept_for_every_h(solver, h):
     # Seen to fail with the fixed state left out of fgplan/model.py: the start then follows η_0.
     robot = Robot(np.array([0.3, -0.2]), np.array([0.5, 0.1]))
     path = np.array([[0.3, -0.2], [0.31, 2.0], [5.0, 2.0]])
-    scenario = Scenario(
-        robot, plans=(GivenPlan("off", path),), count=0, levels=(Level(h=h),)
-    )
+    scenario = Scenario(robot, plans=(GivenPlan("off", path),), count=0, levels=(Level(h=h),))
     best = plan(scenario, solver=solver).components[0]
     np.testing.assert_allclose(best.robot.states[0], robot.state, atol=1e-8)
 

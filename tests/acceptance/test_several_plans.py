@@ -28,7 +28,9 @@ def test_9_the_choice_flips_where_the_distances_say():
     paths = (0.5, -1.0)
     assembly = together(
         [
-            model([ROBOT], [(prior, ("robot",))], [(coupling_to(np.array([p]), 0.1, 1), ("robot",))])
+            model(
+                [ROBOT], [(prior, ("robot",))], [(coupling_to(np.array([p]), 0.1, 1), ("robot",))]
+            )
             for p in paths
         ]
     )

@@ -30,7 +30,9 @@ def test_error_matches_gtsam_wnoa_factor(seed):
     x0, x1 = rng.normal(size=(2, 4))
     keys = range(4)
     native = gtsam.WnoaMotionFactorPoint2(
-        gtsam.StateData(keys[0], keys[1], 0.0), gtsam.StateData(keys[2], keys[3], dt), q * np.ones(2)
+        gtsam.StateData(keys[0], keys[1], 0.0),
+        gtsam.StateData(keys[2], keys[3], dt),
+        q * np.ones(2),
     )
     values = gtsam.Values()
     for key, part in zip(keys, (x0[:2], x0[2:], x1[:2], x1[2:]), strict=True):
