@@ -1,0 +1,107 @@
+"""Chains of blocks against dense numpy, in the band and block by block."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fgplan.block_tridiagonal import BAND_LIMIT, factorize
+from tests.scenes import dense
+
+SIZES = [(1, 1), (1, 2), (4, 1), (4, 13), (4, 40), (BAND_LIMIT, 7), (BAND_LIMIT + 1, 7), (24, 30),
+         (60, 1), (60, 40)]  # fmt: skip
+
+
+def chain(S: int, D: int, seed: int, condition: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """A random positive definite chain: the Gramian of a bidiagonal one."""
+    rng = np.random.default_rng(seed)
+    A, B = rng.normal(size=(S, D, D)), rng.normal(size=(S, D, D))
+    diagonal = A @ np.swapaxes(A, 1, 2) + condition * np.eye(D)
+    diagonal[1:] += B[1:] @ np.swapaxes(B[1:], 1, 2)
+    upper = A[:-1] @ np.swapaxes(B[1:], 1, 2)
+    return diagonal, upper
+
+
+@pytest.mark.parametrize(("D", "S"), SIZES)
+def test_solution_equals_dense_solve(D, S):
+    diagonal, upper = chain(S, D, seed=D + S)
+    rhs = np.random.default_rng(1).normal(size=(S, D))
+    factor = factorize(diagonal, upper)
+    assert factor is not None
+    expected = np.linalg.solve(dense(diagonal, upper), rhs.ravel()).reshape(S, D)
+    np.testing.assert_allclose(factor.solve(rhs), expected, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize(("D", "S"), SIZES)
+def test_log_determinant_equals_dense_one(D, S):
+    diagonal, upper = chain(S, D, seed=2 * D + S)
+    factor = factorize(diagonal, upper)
+    assert factor is not None
+    sign, expected = np.linalg.slogdet(dense(diagonal, upper))
+    assert sign == 1
+    assert factor.log_determinant == pytest.approx(expected, rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_sizes_equal_dense_numpy(seed):
+    rng = np.random.default_rng(seed)
+    D, S = int(rng.integers(1, 61)), int(rng.integers(1, 41))
+    if D * S > 800:  # dense numpy is the slow one here
+        S = max(1, 800 // D)
+    diagonal, upper = chain(S, D, seed)
+    factor, H = factorize(diagonal, upper), dense(diagonal, upper)
+    assert factor is not None
+    rhs = rng.normal(size=(S, D))
+    np.testing.assert_allclose(H @ factor.solve(rhs).ravel(), rhs.ravel(), atol=1e-9)
+    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(H)[1], rel=1e-10, abs=1e-9)
+
+
+@pytest.mark.parametrize(("D", "S"), SIZES)
+@pytest.mark.parametrize("where", ["first", "last"])
+def test_indefinite_chain_has_no_factor(D, S, where):
+    """Shifted by a little more than its smallest eigenvalue, and by a little less."""
+    diagonal, upper = chain(S, D, seed=3 * D + S)
+    smallest = np.linalg.eigvalsh(dense(diagonal, upper))[0]
+    shift = np.eye(D)
+    assert factorize(diagonal - 1.01 * smallest * shift, upper) is None
+    assert factorize(diagonal - 0.99 * smallest * shift, upper) is not None
+    block = 0 if where == "first" else -1
+    diagonal[block, -1, -1] = -1.0
+    assert factorize(diagonal, upper) is None
+
+
+@pytest.mark.parametrize("D", [4, BAND_LIMIT + 1])
+def test_zero_matrix_has_no_factor(D):
+    assert factorize(np.zeros((3, D, D)), np.zeros((2, D, D))) is None
+
+
+@pytest.mark.parametrize("D", [4, BAND_LIMIT + 1])
+@pytest.mark.parametrize("place", ["diagonal", "upper"])
+def test_matrix_with_nan_has_no_factor(D, place):
+    diagonal, upper = chain(4, D, seed=0)
+    (diagonal if place == "diagonal" else upper)[1, 0, 0] = np.nan
+    assert factorize(diagonal, upper) is None
+
+
+@pytest.mark.parametrize("D", [4, BAND_LIMIT + 1])
+def test_factorisation_leaves_its_input_alone(D):
+    diagonal, upper = chain(5, D, seed=4)
+    before = diagonal.copy(), upper.copy()
+    factor = factorize(diagonal, upper)
+    assert factor is not None
+    rhs = np.ones((5, D))
+    factor.solve(rhs)
+    np.testing.assert_array_equal(diagonal, before[0])
+    np.testing.assert_array_equal(upper, before[1])
+    np.testing.assert_array_equal(rhs, 1.0)
+
+
+def test_strided_blocks_give_the_same_numbers():
+    diagonal, upper = chain(6, 5, seed=5)
+    wide = np.zeros((6, 2, 5, 5))
+    wide[:, 1] = diagonal
+    one, other = factorize(diagonal, upper), factorize(wide[:, 1], np.asfortranarray(upper))
+    assert one is not None
+    assert other is not None
+    rhs = np.random.default_rng(2).normal(size=(6, 5))
+    np.testing.assert_allclose(one.solve(rhs), other.solve(rhs), rtol=1e-12)
