@@ -179,18 +179,20 @@ def load(path: Path) -> Scenario:
         ScenarioError: the file is missing, is not TOML, or says something that cannot be planned;
             all mistakes are reported at once, those of its map among them.
     """
-    raw = _read(path)
-    table, mistakes = _structure(raw)
+    table, mistakes = _structure(_read(path))
+    return _understand(table, mistakes, path)
+
+
+def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
+    """The scenario, unless there are mistakes of structure, map or meaning."""
     reported = [mistake.path for mistake in mistakes]
     unclear = any(known.startswith("map") for known in reported)
     grid, wrong = _map(table.map, path.parent, unclear)
-    mistakes += wrong
     scenario = _scenario(table, grid, path.stem)
-    for mistake in (*_goal(table), *find_mistakes(scenario), *placement(scenario)):
-        if not any(_overlap(mistake.path, known) for known in reported):
-            mistakes.append(mistake)
-    if mistakes:
-        raise ScenarioError(str(path), tuple(mistakes))
+    meant = (*wrong, *_goal(table), *find_mistakes(scenario), *placement(scenario))
+    new = [m for m in meant if not any(_overlap(m.path, known) for known in reported)]
+    if mistakes or new:
+        raise ScenarioError(str(path), (*mistakes, *new))
     return scenario
 
 
@@ -210,10 +212,11 @@ def _read(path: Path) -> dict[str, Any]:
         mistake = Mistake(f"byte {error.start}", error.object[error.start], "write UTF-8")
         raise ScenarioError(str(path), (mistake,)) from None
     except tomllib.TOMLDecodeError as error:
-        number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else 0
-        lines = [*text.splitlines(), ""]
-        got = lines[number - 1] if 0 < number <= len(lines) else ""
-        mistake = Mistake(f"line {number or len(lines) - 1}", got, f"is not TOML: {error}")
+        lines = text.splitlines()
+        # At the end of the file Python names no line.
+        number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else len(lines)
+        got = lines[number - 1] if number <= len(lines) else ""
+        mistake = Mistake(f"line {number}", got, f"is not TOML: {error}")
         raise ScenarioError(str(path), (mistake,)) from None
     if not raw:
         mend = "is empty; give at least [robot] with a position"
@@ -227,7 +230,8 @@ def _structure(raw: Mapping[str, Any]) -> tuple[_File, list[Mistake]]:
     mistakes: list[Mistake] = []
     while True:
         try:
-            return _File.model_validate(tables), mistakes
+            table = _File.model_validate(tables)
+            return table, list({mistake.path: mistake for mistake in mistakes}.values())
         except ValidationError as error:
             # Every round replaces each value that is wrong by one that is not, from the inside
             # out, so that there is an end. A missing key may follow from a value taken out.
@@ -320,9 +324,16 @@ def _map(
         shapes = [np.asarray(polygon, dtype=float) for polygon in table.polygons]
         return OccupancyGrid.from_polygons(shapes, table.bounds, table.resolution), []
     except MapError as error:
+        # "bounds: got ...; give ..." or "polygons[3]: got ...; give ..."
         key, _, what = str(error).partition(": ")
-        value = getattr(table, key.partition("[")[0], None)
-        return None, [Mistake(f"map.{key}", value, what.rpartition("; ")[2])]
+        return None, [Mistake(f"map.{key}", _stated(table, key), what.rpartition("; ")[2])]
+
+
+def _stated(table: _Map, key: str) -> object:
+    """What the file says at a key such as `bounds` or `polygons[3]`."""
+    name, _, index = key.rstrip("]").partition("[")
+    value = getattr(table, name, None)
+    return value[int(index)] if index and value is not None else value
 
 
 def _goal(table: _File) -> Sequence[Mistake]:

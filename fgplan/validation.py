@@ -123,14 +123,14 @@ def placement(scenario: Scenario) -> Iterable[Mistake]:
         ("robot.position", scenario.robot.position),
         ("goal.position", scenario.goal),
     ):
-        if point is None or np.shape(point) != (2,) or not np.all(np.isfinite(point)):
+        where = None if point is None else _points(path, point, (2,))[0]
+        if where is None:
             continue
-        where = np.asarray(point, dtype=float)[None]
-        if not grid.contains(where)[0]:
+        if not grid.contains(where):
             xmin, ymin, xmax, ymax = grid.bounds
             mend = f"lies outside the map, x {xmin:g} to {xmax:g}, y {ymin:g} to {ymax:g}"
             yield Mistake(path, _plain(point), mend)
-        elif grid.is_occupied(where)[0]:
+        elif grid.is_occupied(where):
             yield Mistake(path, _plain(point), "lies inside an obstacle of the map; move it")
 
 

@@ -1,0 +1,437 @@
+"""Scenario files: what they say, and every mistake at once with its path, value and mend."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fgplan import scenario_file
+from fgplan.errors import Mistake, ScenarioError
+from fgplan.occupancy import OccupancyGrid
+from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
+from fgplan.validation import validate
+
+MINIMAL = "[robot]\nposition = [0.0, 0.0]\n"
+GOOD = """
+[robot]
+position = [1.0, 1.0]
+
+[goal]
+position = [8, 1]
+
+[[people]]
+id = "anna"
+track = [[-0.4, 4.0, 1.0], [0.0, 3.6, 1.0]]
+
+[[people]]
+id = "ben"
+radius = 0.4
+track = [[0.0, 6.0, 2.0]]
+"""
+
+
+def load(folder: Path, text: str) -> Scenario:
+    path = folder / "case.toml"
+    path.write_text(text, encoding="utf-8")
+    return Scenario.load(path)
+
+
+def mistakes(folder: Path, text: str) -> tuple[Mistake, ...]:
+    with pytest.raises(ScenarioError) as caught:
+        load(folder, text)
+    return caught.value.mistakes
+
+
+def test_minimal_file_has_the_defaults_of_the_dataclasses(tmp_path: Path) -> None:
+    s = load(tmp_path, MINIMAL)
+    assert s.name == "case"
+    assert s.robot.position.tolist() == [0, 0]
+    assert (s.robot.radius, s.robot.heading, s.robot.covariance) == (Robot.radius, None, None)
+    assert s.goal is None
+    assert s.grid is None
+    assert (s.tracks, s.plans, s.field_of_view) == ((), (), None)
+    assert s.density == Density()
+    assert tuple(s.levels) == (Level(),)
+    assert s.count == 0  # no goal: nowhere to plan to
+
+
+def test_everything_that_a_file_can_say_arrives(tmp_path: Path) -> None:
+    text = """
+    name = "all of it"
+    [map]
+    polygons = [[[4, 1], [5, 1], [5, 2]]]
+    bounds = [0, 0, 10, 5]
+    resolution = 0.5
+    [robot]
+    position = [1, 1]
+    velocity = [2.5, 0.0]
+    heading = 0.1
+    covariance = [0.1, 0.2, 0.3, 0.4]
+    radius = 0.3
+    preferred_speed = 0.9
+    max_speed = 1.1
+    max_acceleration = 2.0
+    [goal]
+    position = [9, 4]
+    [plans]
+    count = 2
+    [[plans.given]]
+    label = "mine"
+    path = [[1, 1], [9, 4]]
+    weight = 0.5
+    [density]
+    t_ref = "dt"
+    contact_sigma = inf
+    [crowd]
+    mode = "predicted"
+    pairs = "robot"
+    now = 3.5
+    [[people]]
+    id = "anna"
+    radius = 0.25
+    track = [[3.0, 5.0, 3.0], [3.5, 5.5, 3.0]]
+    [field_of_view]
+    range = 5.0
+    angle = 2.0
+    occlusion = false
+    [[levels]]
+    name = "mission"
+    sigma = 0.5
+    [[levels]]
+    name = "tactics"
+    sigma = inf
+    length = 2.0
+    h = 0.2
+    """
+    s = load(tmp_path, text)
+    assert s.name == "all of it"
+    assert s.grid is not None
+    assert s.grid.bounds == pytest.approx((0, 0, 10, 5))
+    assert s.grid.is_occupied([4.7, 1.3])
+    assert s.robot.state.tolist() == [1, 1, 2.5, 0]  # faster than max_speed now: that is fine
+    assert s.robot.covariance is not None
+    np.testing.assert_allclose(s.robot.covariance, np.diag([0.01, 0.04, 0.09, 0.16]))
+    robot = s.robot
+    assert (robot.heading, robot.radius, robot.preferred_speed) == (0.1, 0.3, 0.9)
+    assert (robot.max_speed, robot.max_acceleration) == (1.1, 2.0)
+    assert s.count == 2
+    assert (s.plans[0].label, s.plans[0].weight) == ("mine", 0.5)
+    assert s.plans[0].path.tolist() == [[1, 1], [9, 4]]
+    assert s.density == Density(t_ref=None, contact_sigma=np.inf)
+    assert (s.crowd, s.pairs, s.now) == ("predicted", "robot", 3.5)
+    assert (s.tracks[0].identity, s.tracks[0].radius) == ("anna", 0.25)
+    assert s.tracks[0].times.tolist() == [3.0, 3.5]
+    assert s.tracks[0].positions.tolist() == [[5, 3], [5.5, 3]]
+    assert s.field_of_view == FieldOfView(5.0, 2.0, False)
+    assert tuple(s.levels) == (
+        Level("mission", sigma=0.5),
+        Level("tactics", sigma=np.inf, length=2.0, h=0.2),
+    )
+
+
+@pytest.mark.parametrize(
+    ("table", "owner", "renamed"),
+    [
+        (scenario_file._Robot, Robot, {}),
+        (scenario_file._Density, Density, {}),
+        (scenario_file._FieldOfView, FieldOfView, {}),
+        (scenario_file._Level, Level, {}),
+        (scenario_file._Given, GivenPlan, {}),
+        (scenario_file._Person, Track, {"id": {"identity"}, "track": {"times", "positions"}}),
+    ],
+)
+def test_keys_of_a_table_are_the_fields_of_its_dataclass(
+    table: type[scenario_file._Table], owner: type, renamed: dict[str, set[str]]
+) -> None:
+    keys = set().union(*(renamed.get(key, {key}) for key in table.model_fields))
+    assert keys == {field.name for field in dataclasses.fields(owner)}
+
+
+def test_map_file_is_relative_to_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    OccupancyGrid.from_polygons([], (0, 0, 10, 5), 0.5).save(tmp_path / "maps" / "hall.yaml")
+    s = load(tmp_path, '[map]\nfile = "maps/hall.yaml"\n' + GOOD)
+    assert s.grid is not None
+    assert s.grid.data.shape == (10, 20)
+
+
+def test_full_covariance_is_taken_as_it_is(tmp_path: Path) -> None:
+    matrix = 0.1 * np.eye(4) + 0.01
+    s = load(tmp_path, MINIMAL + f"covariance = {matrix.tolist()}\n")
+    assert s.robot.covariance is not None
+    assert s.robot.covariance.tolist() == matrix.tolist()
+
+
+def test_all_mistakes_are_reported_at_once(tmp_path: Path) -> None:
+    """Unknown keys, wrong types, a broken map and wrong meanings, in one go."""
+    text = """
+    speed = 3
+    [map]
+    file = "nowhere.yaml"
+    [robot]
+    position = [nan, 0.0]
+    raduis = 0.3
+    radius = -0.3
+    covariance = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    [goal]
+    position = [1.0]
+    [density]
+    dt = "fast"
+    alpha = 1.5
+    [crowd]
+    mode = "both"
+    [[people]]
+    id = "anna"
+    track = [[-0.4, 0, 0], [-0.8, 0, 0], [0.0, "x", 0], [0.4, 0, 0]]
+    [[people]]
+    id = "anna"
+    track = []
+    [[people]]
+    track = [[0, inf, 0]]
+    [field_of_view]
+    angle = 7.0
+    """
+    found = {m.path: m for m in mistakes(tmp_path, text)}
+    assert set(found) == {
+        "speed",
+        "map.file",
+        "robot.position",
+        "robot.raduis",
+        "robot.radius",
+        "robot.covariance",
+        "goal.position",
+        "density.dt",
+        "density.alpha",
+        "crowd.mode",
+        "people[0].track[1]",
+        "people[0].track[2][1]",
+        "people[0].track[3]",
+        "people[1].id",
+        "people[1].track",
+        "people[2].id",
+        "people[2].track[0]",
+        "field_of_view.angle",
+    }
+    assert found["robot.raduis"].mend == "is not a key; did you mean 'radius'?"
+    assert found["robot.radius"].value == -0.3
+    assert found["density.dt"].value == "fast"
+    assert found["people[0].track[3]"].value == [0.4, 0.0, 0.0]
+    assert "after crowd.now = 0" in found["people[0].track[3]"].mend
+
+
+@pytest.mark.parametrize(
+    ("text", "path", "mend"),
+    [
+        ("[goal]\nposition = [1, 1]", "robot", "is missing"),
+        ("[robot]\nradius = 1", "robot.position", "is missing"),
+        ("robot = 3", "robot", "give a table"),
+        (MINIMAL + "[goal]", "goal.position", "is missing"),
+        (MINIMAL + "[goal]\nposition = 3", "goal.position", "give a list in [brackets]"),
+        (MINIMAL + "[goal]\nposition = [1, 2, 3]", "goal.position", "has too many entries"),
+        (MINIMAL + "[goal]\nposition = [1]", "goal.position", "has too few entries"),
+        (MINIMAL + "[goal]\nposition = [1, true]", "goal.position[1]", "give a number"),
+        (MINIMAL + 'radius = "0.3"', "robot.radius", "give a number"),
+        (MINIMAL + "radius = 2024-01-01", "robot.radius", "give a number"),
+        (MINIMAL + "people = 3", "robot.people", "is not a key; the keys here are covariance, "),
+        ("people = 3\n" + MINIMAL, "people", "give a list in [brackets]"),
+        ("people = [3]\n" + MINIMAL, "people[0]", "give a table"),
+        ("levels = []\n" + MINIMAL, "levels", "give at least one level"),
+        ("name = 3\n" + MINIMAL, "name", 'give a text in "quotes"'),
+        ("nmae = 'x'\n" + MINIMAL, "nmae", "did you mean 'name'?"),
+        (MINIMAL + "covariance = [1, 1]", "robot.covariance", "give shape (4, 4)"),
+        (MINIMAL + "covariance = [1, 1, 1, 0]", "robot.covariance", "four standard deviations"),
+        (MINIMAL + "covariance = [[1, 0], [0]]", "robot.covariance", "give numbers, shape (4, 4)"),
+        (MINIMAL + "covariance = [['a']]", "robot.covariance[0][0]", "give a number"),
+        (MINIMAL + "[plans]\ncount = 1.5", "plans.count", "give a whole number"),
+        (MINIMAL + "[plans]\ncount = 3", "plans.count", "without a goal"),
+        (GOOD + "[plans]\ncount = 0", "plans.count", "contradicts the goal"),
+        (GOOD + "[[plans.given]]\nlabel = 'a'", "plans.given[0].path", "is missing"),
+        (
+            GOOD + "[[plans.given]]\nlabel = 'a'\npath = [[1, 1], [2]]",
+            "plans.given[0].path[1]",
+            "has too few entries",
+        ),
+        (
+            GOOD + "[[plans.given]]\npath = [[1, 1], [2, 1]]",
+            "plans.given[0].label",
+            "is missing",
+        ),
+        (GOOD + "[density]\nt_ref = 'now'", "density.t_ref", "give a number"),
+        (GOOD + "[field_of_view]\nocclusion = 1", "field_of_view.occlusion", "true or false"),
+        (GOOD + "[field_of_view]\nangle_deg = 90", "field_of_view.angle_deg", "mean 'angle'?"),
+        (GOOD + "[[levels]]\nsigmma = 1", "levels[0].sigmma", "did you mean 'sigma'?"),
+        (GOOD + "[map]", "map.polygons", "is missing; give file, or polygons with"),
+        (GOOD + "[map]\nfile = 3", "map.file", 'give a text in "quotes"'),
+        (GOOD + "[map]\nfilee = 'x'", "map.filee", "did you mean 'file'?"),
+        (
+            GOOD + "[map]\nfile = 'x.yaml'\npolygons = []",
+            "map.file",
+            "contradicts map.polygons; keep the file or the polygons",
+        ),
+        (
+            GOOD + "[map]\npolygons = [[[0, 0], [1, 1]]]\nbounds = [0, 0, 9, 9]\nresolution = 1",
+            "map.polygons[0]",
+            "3 or more points",
+        ),
+        (
+            GOOD + "[map]\npolygons = [[[0, 0], [1]]]\nbounds = [0, 0, 9, 9]\nresolution = 1",
+            "map.polygons[0][1]",
+            "has too few entries",
+        ),
+        (
+            GOOD + "[map]\npolygons = []\nbounds = [0, 0, -9, 9]\nresolution = 1",
+            "map.bounds",
+            "with min < max",
+        ),
+        (
+            GOOD + "[map]\npolygons = []\nbounds = [0, 0, 9, 9]\nresolution = nan",
+            "map.resolution",
+            "give a finite number",
+        ),
+        (
+            GOOD + "[map]\npolygons = []\nbounds = [0, 0, 9e5, 9e5]\nresolution = 0.05",
+            "map.resolution",
+            "give a coarser one",
+        ),
+        (
+            GOOD + "[map]\npolygons = []\nbounds = [2, 0, 9, 9]\nresolution = 0.1",
+            "robot.position",
+            "lies outside the map, x 2 to 9, y 0 to 9",
+        ),
+        (
+            GOOD + "[map]\nbounds = [0, 0, 9, 9]\nresolution = 0.1\n"
+            "polygons = [[[7, 0], [9, 0], [9, 2], [7, 2]]]",
+            "goal.position",
+            "lies inside an obstacle",
+        ),
+    ],
+)
+def test_single_mistake_is_named_once(tmp_path: Path, text: str, path: str, mend: str) -> None:
+    found = mistakes(tmp_path, text)
+    assert found[0].path == path
+    assert mend in found[0].mend
+    assert len(found) == (3 if "[map]" in text and path == "map.polygons" else 1)
+
+
+def test_goal_in_obstacle_is_reported_beside_other_mistakes(tmp_path: Path) -> None:
+    text = GOOD + (
+        "[map]\nbounds = [0, 0, 9, 9]\nresolution = 0.1\n"
+        "polygons = [[[7, 0], [9, 0], [9, 2], [7, 2]]]\n[density]\nbeta = nan"
+    )
+    assert [m.path for m in mistakes(tmp_path, text)] == ["density.beta", "goal.position"]
+
+
+@pytest.mark.parametrize(
+    ("change", "mend"),
+    [
+        (("image: hall.pgm", "image: gone.pgm"), "no such file"),
+        (("occupied_thresh: 0.65", "occupied_thresh: 0.1"), "give more than free_thresh"),
+        (("resolution: 0.5", "resolution: .nan"), "give a finite number"),
+    ],
+)
+def test_broken_map_is_a_mistake_of_the_file(
+    tmp_path: Path, change: tuple[str, str], mend: str
+) -> None:
+    path = tmp_path / "hall.yaml"
+    OccupancyGrid.from_polygons([], (0, 0, 10, 5), 0.5).save(path)
+    text = path.read_text(encoding="utf-8")
+    assert change[0] in text
+    path.write_text(text.replace(*change), encoding="utf-8")
+    found = mistakes(tmp_path, GOOD + "[map]\nfile = 'hall.yaml'\n[density]\nalpha = -1")
+    assert [m.path for m in found] == ["map.file", "density.alpha"]
+    assert mend in found[0].mend
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="No such file"):
+        Scenario.load(tmp_path / "nowhere.toml")
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        Scenario.load(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "# only a comment\n"])
+def test_empty_file(tmp_path: Path, text: str) -> None:
+    assert "give at least [robot]" in mistakes(tmp_path, text)[0].mend
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("a = 1\nb = = 2\n", 2), ("[robot\n", 1), ("a = 1\na = 2\n", 2), ("a = [1,", 1)],
+)
+def test_file_that_is_not_toml_names_the_line(tmp_path: Path, text: str, line: int) -> None:
+    (mistake,) = mistakes(tmp_path, text)
+    assert mistake.path == f"line {line}"
+    assert mistake.value == text.splitlines()[line - 1]
+    assert "is not TOML" in mistake.mend
+
+
+def test_file_that_is_not_text(tmp_path: Path) -> None:
+    (tmp_path / "case.toml").write_bytes(b"name = '\xff'")
+    with pytest.raises(ScenarioError, match="write UTF-8"):
+        Scenario.load(tmp_path / "case.toml")
+
+
+def test_error_tells_path_value_and_mend(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load(tmp_path, MINIMAL + "radius = -1.0\nmax_sped = 2\n")
+    text = str(caught.value)
+    assert "case.toml: 2 mistake(s)" in text
+    assert "robot.radius: got -1.0; give a finite number above 0" in text
+    assert "robot.max_sped: got 2; is not a key; did you mean 'max_speed'?" in text
+
+
+VALUES = st.recursive(
+    st.one_of(
+        st.integers(),
+        st.floats(),
+        st.booleans(),
+        st.text(max_size=3),
+        st.just(10**400),
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=3), inner, max_size=2)
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_whatever_a_file_says_it_is_a_scenario_or_a_typed_error(data: st.DataObject) -> None:
+    """One place in a good file is replaced by anything that TOML can hold."""
+    text = (Path(__file__).parents[2] / "data/scenarios/three_corridors_crowd.toml").read_text(
+        "utf-8"
+    )
+    raw = tomllib.loads(text)
+    del raw["map"]
+    raw["map"] = {
+        "polygons": [[[4, 1], [5, 1], [5, 2]]],
+        "bounds": [0, -4, 14, 4],
+        "resolution": 0.5,
+    }
+    raw["plans"]["given"] = [{"label": "a", "path": [[1, 0.4], [13, 0.4]], "weight": 1.0}]
+    raw["robot"]["covariance"] = [0.1, 0.1, 0.1, 0.1]
+    place: object = raw
+    while True:
+        keys = sorted(place) if isinstance(place, dict) else range(len(place))  # type: ignore[arg-type]
+        key = data.draw(st.sampled_from(list(keys)))
+        inner = place[key]  # type: ignore[index]
+        if not isinstance(inner, dict | list) or not inner or data.draw(st.booleans()):
+            break
+        place = inner
+    place[key] = data.draw(VALUES)  # type: ignore[index]
+    table, found = scenario_file._structure(raw)
+    try:
+        scenario = scenario_file._understand(table, found, Path("case.toml"))
+    except ScenarioError as error:
+        paths = [m.path for m in error.mistakes]
+    else:
+        paths = ["none"]
+        validate(scenario)
+    assert len(set(paths)) == len(paths) > 0
