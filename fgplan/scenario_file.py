@@ -48,7 +48,8 @@ def _sigmas_or_matrix(value: object) -> object:
     """Four standard deviations are a diagonal covariance."""
     if not isinstance(value, list) or any(isinstance(entry, list) for entry in value):
         return value
-    if not all(isinstance(s, int | float) and not isinstance(s, bool) and s > 0 for s in value):
+    # 1e15: an integer of TOML may be too large for a float.
+    if not all(type(sigma) in (int, float) and 0 < sigma < 1e15 for sigma in value):
         raise PydanticCustomError("sigmas", "give four standard deviations above 0, or 4 rows")
     return np.diag(np.asarray(value, dtype=float) ** 2).tolist()
 

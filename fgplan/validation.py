@@ -157,7 +157,8 @@ def _covariance(path: str, value: Any) -> Iterable[Mistake]:
     try:
         W = whitener(matrix)
     except ValueError as error:
-        yield Mistake(path, _plain(value), f"give {str(error).split('must be ')[-1].split(',')[0]}")
+        what = str(error).split("must be ")[-1].split(",")[0]
+        yield Mistake(path, _plain(value), f"give a matrix that is {what}")
         return
     if not np.abs(W).max() < 1e15:
         yield Mistake(path, _plain(value), "give a matrix that is not nearly singular")
@@ -293,7 +294,7 @@ def _points(
     path: str, value: Any, shape: tuple[int | None, ...], limit: float = FARTHEST
 ) -> tuple[Array | None, list[Mistake]]:
     """The value as an array, or None and why not: shape, or numbers that are not finite."""
-    named = "(" + ", ".join("N" if size is None else str(size) for size in shape) + ")"
+    named = str(shape).replace("None", "N")
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
