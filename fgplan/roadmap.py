@@ -138,9 +138,16 @@ class Roadmap:
         hit = self._open.take(cells[:, 1] * self.free.shape[1] + cells[:, 0])
         return np.asarray(np.logical_and.reduceat(hit, first))
 
+    def surely_sees(self, start: Array, ends: Array) -> Mask:
+        """As `sees`, without the doubt that is left between two samples."""
+        seen = self.sees(start, ends)
+        for number in np.flatnonzero(seen):
+            seen[number] = self.clearance([np.array([start, ends[number]])])[0][0] >= self.rho
+        return seen
+
     @cached_property
     def _open(self) -> Mask:
-        """Whether all four nodes around a lattice square are free, by the node at its lower left."""
+        """Whether all four nodes around a lattice square are free, by its lower left node."""
         f = np.pad(self.free, ((0, 1), (0, 1)))
         return np.ravel(f[:-1, :-1] & f[1:, :-1] & f[:-1, 1:] & f[1:, 1:])
 
@@ -222,9 +229,7 @@ class Roadmap:
         is none, and the node before each on it."""
         from scipy.sparse.csgraph import dijkstra
 
-        length, before = dijkstra(
-            self.lattice, indices=node, limit=limit, return_predecessors=True
-        )
+        length, before = dijkstra(self.lattice, indices=node, limit=limit, return_predecessors=True)
         return length, before
 
     # Skeleton
@@ -273,7 +278,7 @@ def square_distance(occupied: Mask, reach: int) -> Array:
         near = column + aside
         np.minimum(squared[:, shift:], near[:, :-shift], out=squared[:, shift:])
         np.minimum(squared[:, :-shift], near[:, shift:], out=squared[:, :-shift])
-    return np.minimum(np.sqrt(squared), float(reach))
+    return np.asarray(np.minimum(np.sqrt(squared), reach), dtype=float)
 
 
 def _samples(starts: Array, ends: Array, spacing: float) -> tuple[Array, Nodes]:
@@ -290,8 +295,8 @@ def _samples(starts: Array, ends: Array, spacing: float) -> tuple[Array, Nodes]:
 def _chains(skeleton: Mask, free: Mask) -> tuple[Nodes, ...]:
     """Chains of nodes between the junctions and ends of a skeleton.
 
-    A diagonal step is replaced by two straight ones around the corner that is free, and left out
-    where neither is: the robot cannot take it.
+    A diagonal step with an obstacle beside it becomes two straight ones around the other side;
+    with obstacles on both sides the robot cannot take it, and it is left out.
     """
     near = _links(skeleton, free)
     ends = [node for node, others in near.items() if len(others) != 2]
@@ -336,7 +341,8 @@ def _links(skeleton: Mask, free: Mask) -> dict[int, list[int]]:
         # A diagonal says something new only where no straight steps join the two nodes.
         slanted = s[r + 1, c + side] & ~s[r, c + side] & ~s[r + 1, c]
         beside, above = f[r, c + side], f[r + 1, c]
-        for taken, via in ((slanted & beside, side), (slanted & above & ~beside, cols)):
+        links.append((own[slanted & beside & above], cols + side))
+        for taken, via in ((slanted & beside & ~above, side), (slanted & above & ~beside, cols)):
             links += [(own[taken], via), (own[taken] + via, cols + side - via)]
     near: dict[int, set[int]] = {node: set() for node in own.tolist()}
     for tails, step in links:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fgplan.errors import NoRoute
 from fgplan.roadmap import Nodes, Roadmap, reach, roadmap, trace
-from fgplan.smoothing import pull, smooth
+from fgplan.smoothing import smooth, taut
 
 if TYPE_CHECKING:
     from fgplan.occupancy import OccupancyGrid
@@ -34,7 +34,7 @@ GOAL_TOLERANCE = 0.5
 DETOUR = 0.7
 """A pulled path is rarely shorter than this share of its skeleton path: where to stop looking."""
 
-MOST_CANDIDATES = 12
+MOST_CANDIDATES = 8
 """Skeleton paths looked at for each route asked for."""
 
 MOST_EXPANSIONS = 20_000
@@ -104,16 +104,14 @@ def find_routes(
             break
         key = road.signature(np.vstack([head, steps, tail])).tobytes()
         if key not in classes:
-            classes[key] = pull(road, steps)
+            classes[key] = taut(road, steps)
             lengths.append(_length(classes[key]))
     order = sorted(classes.values(), key=_length)[:count]
-    taut = [np.vstack([head, path, tail]) for path in order]
-    return _ranked(road, smooth(road, taut), a)
+    pulled = [np.vstack([head, path, tail]) for path in order]
+    return _ranked(road, smooth(road, pulled), a)
 
 
-def shortest_path(
-    grid: OccupancyGrid, start: Any, goal: Any, radius: float
-) -> tuple[Array, float]:
+def shortest_path(grid: OccupancyGrid, start: Any, goal: Any, radius: float) -> tuple[Array, float]:
     """The shortest path over free cells (`Roadmap.free`), straight and diagonal steps with their
     Euclidean length; a diagonal step needs both cells beside it.
 

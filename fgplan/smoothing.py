@@ -5,14 +5,18 @@ Lattice coordinates, as in `fgplan.roadmap`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.roadmap import COMFORT, Roadmap
 
 Array = NDArray[np.float64]
+Sight = Callable[[Array, Array], NDArray[np.bool_]]
 
-PROBES = 16
+PROBES = 10
 """Shortcuts tried at once."""
 
 LEVELS = ((8.0, 30), (4.0, 20), (2.0, 10))
@@ -22,18 +26,33 @@ COMFORT_GAIN = 0.1
 """Share of a missing comfort that one sweep makes up for."""
 
 
-def pull(road: Roadmap, path: Array) -> Array:
-    """Join a lattice path's vertices (N, 2) by long straight lines that keep the radius and the
-    class; shape (n, 2)."""
+def taut(road: Roadmap, path: Array) -> Array:
+    """A lattice path (N, 2), pulled taut within its class: straight lines between few of its
+    vertices, shape (n, 2), all of which keep the radius."""
+    quick = _pulled(road, path, road.sees)
+    if np.all(road.clearance([quick])[0] >= road.rho):
+        return quick
+    return _pulled(road, path, road.surely_sees)
+
+
+def _pulled(road: Roadmap, path: Array, sees: Sight) -> Array:
+    """Once from each end: a greedy shortcut turns late, right at the end it comes from."""
+    once = _shortcut(road, path, sees)
+    if len(once) <= 2:
+        return once
+    return _shortcut(road, _subdivided(once, 8.0)[::-1], sees)[::-1]
+
+
+def _shortcut(road: Roadmap, path: Array, sees: Sight) -> Array:
     wound = np.zeros((len(path), len(road.obstacles)), dtype=np.intp)
     np.cumsum(road.crossings(path[:-1], path[1:]), axis=0, out=wound[1:])
     chosen = [0]
     while chosen[-1] < len(path) - 1:
-        chosen.append(_farthest(road, path, wound, chosen[-1]))
+        chosen.append(_farthest(road, path, wound, chosen[-1], sees))
     return path[chosen]
 
 
-def _farthest(road: Roadmap, path: Array, wound: NDArray[np.intp], here: int) -> int:
+def _farthest(road: Roadmap, path: Array, wound: NDArray[np.intp], here: int, sees: Sight) -> int:
     """A far vertex that a straight line from vertex `here` reaches, by two rounds of probes."""
     best, beyond = here + 1, len(path)
     for _ in range(2):
@@ -41,31 +60,20 @@ def _farthest(road: Roadmap, path: Array, wound: NDArray[np.intp], here: int) ->
             break
         targets = np.unique(np.linspace(best + 1, beyond - 1, PROBES).astype(int))
         ends = path[targets]
-        seen = road.sees(path[here], ends)
         turns = road.crossings(np.broadcast_to(path[here], ends.shape), ends)
-        seen &= np.all(turns == wound[targets] - wound[here], axis=1)
-        for number in np.flatnonzero(seen)[::-1]:
-            # `sees` may miss a corner between two samples.
-            if road.clearance([path[[here, targets[number]]]])[0][0] >= road.rho:
-                best = int(targets[number])
-                beyond = int(targets[number + 1]) if number + 1 < len(targets) else best + 1
-                break
-        else:
-            beyond = int(targets[0])
+        same = np.all(turns == wound[targets] - wound[here], axis=1)
+        seen = np.flatnonzero(same & sees(path[here], ends))
+        if len(seen):
+            best = int(targets[seen[-1]])
+        after = targets[targets > best]
+        beyond = int(after[0]) if len(after) else best
     return best
-
-
-def tighten(road: Roadmap, path: Array) -> Array:
-    """A pulled path (n, 2), pulled again from its other end with vertices between its own."""
-    if len(path) <= 2:
-        return path
-    return pull(road, _subdivided(path, 6.0)[::-1])[::-1]
 
 
 def _subdivided(path: Array, spacing: float) -> Array:
     """The same polyline with more vertices, at most `spacing` apart."""
     parts = []
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in pairwise(path):
         pieces = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
         parts.append(a + np.arange(pieces)[:, None] / pieces * (b - a))
     return np.vstack([*parts, path[-1:]])
@@ -98,7 +106,7 @@ def _resampled(band: Array, anchor: Array) -> Array:
 
 def _shares(path: Array) -> Array:
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    return length / max(length[-1], 1e-12)
+    return np.asarray(length / max(length[-1], 1e-12))
 
 
 def _relaxed(road: Roadmap, bands: list[Array], anchors: list[Array], sweeps: int) -> list[Array]:
@@ -111,12 +119,16 @@ def _relaxed(road: Roadmap, bands: list[Array], anchors: list[Array], sweeps: in
     # A robot that stands too near an obstacle is asked for no more than its straight way out.
     need = np.minimum(road.required, road.field.distance(np.vstack(anchors)[at]))
     wish = road.required + COMFORT / road.cell
+    aside = np.zeros_like(x)
     for _ in range(sweeps):
         y = 0.5 * x[at] + 0.25 * (x[at - 1] + x[at + 1])
         F, slope = road.field.linearize(y)
-        steep = np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)
-        push = np.maximum(need - F, 0.0) + COMFORT_GAIN * np.maximum(wish - F, 0.0)
-        x[at] = y + (push / steep)[:, None] * slope
+        slope /= np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)[:, None]
+        # In the middle of a lane the slope flips from point to point: the wish for more room is
+        # averaged over neighbours, the need for enough is not.
+        aside[at] = np.maximum(wish - F, 0.0)[:, None] * slope
+        mean = 0.5 * aside[at] + 0.25 * (aside[at - 1] + aside[at + 1])
+        x[at] = y + np.maximum(need - F, 0.0)[:, None] * slope + COMFORT_GAIN * mean
     return np.split(x, ends[:-1])
 
 
