@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse, Wedge
 from matplotlib.patheffects import withStroke
@@ -71,9 +70,12 @@ def draw_plans(plans: Sequence[tuple[Mixture, Scenario]], path: str | Path | Non
         figsize=(WIDTH, sum(heights)), layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1)
     )
     rows = figure.subfigures(len(plans), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for row, (mixture, scenario), box in zip(rows, plans, boxes, strict=True):
+    for row, (mixture, scenario), box, height in zip(rows, plans, boxes, heights, strict=True):
+        bars_share = min((0.6 + 0.4 * max(len(mixture.components), 3)) / height, 0.6)
         picture, bars, legend = row.subplot_mosaic(
-            [["map", "bars"], ["map", "legend"]], width_ratios=(3.4, 1), height_ratios=(1, 1)
+            [["map", "bars"], ["map", "legend"]],
+            width_ratios=(3.4, 1),
+            height_ratios=(bars_share, 1 - bars_share),
         ).values()
         _draw_map_panel(picture, mixture, scenario, box)
         _draw_bars(bars, mixture)
@@ -82,7 +84,7 @@ def draw_plans(plans: Sequence[tuple[Mixture, Scenario]], path: str | Path | Non
             _title(mixture), loc="left", fontsize=12, fontweight="bold", parse_math=False
         )
     if path is not None:
-        figure.savefig(path, dpi=110, metadata={"Software": None})
+        figure.savefig(path, dpi=110, bbox_inches="tight", pad_inches=0.15)
     return figure
 
 
@@ -91,7 +93,7 @@ def _title(mixture: Mixture) -> str:
     if best is None or i is None:
         return f"{mixture.name}: stops, no hypothesis is safe"
     height, mass = mixture.probability_height[i], mixture.probability_mass[i]
-    return f"{mixture.name}: follows {best.label} (P = {height:.2f} by height, {mass:.2f} by mass)"
+    return f"{mixture.name}: selected {best.label} (P = {height:.2f} by height, {mass:.2f} by mass)"
 
 
 def _view(mixture: Mixture, scenario: Scenario) -> Box:
@@ -131,7 +133,8 @@ def _draw_map_panel(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) 
     seconds = _seconds(d.horizon)
     shown = mixture.best or mixture.components[0]
     for person in shown.crowd.values():
-        axes.plot(*person.at(_fine(person)).T[:2], color=PERSON, lw=1.5, zorder=5)
+        if scenario.crowd == "joint":
+            axes.plot(*person.at(_fine(person)).T[:2], color=PERSON, lw=1.5, zorder=5)
         x, y = person.at(seconds).T[:2]
         axes.scatter(x, y, c=seconds, cmap=times, norm=scale, s=16, ec=PERSON, lw=0.8, zorder=6)
     _draw_ends(axes, scenario)
@@ -185,7 +188,8 @@ def _draw_hypothesis(axes: Axes, component: Component, colour: str) -> None:
 def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> None:
     """Label and probability of each hypothesis, where it does not hide another, or a person."""
     routes = [
-        _resampled(c.robot.positions if c.route is None else c.route) for c in mixture.components
+        c.robot.positions[-1:] if c.route is None else _resampled(c.route)
+        for c in mixture.components
     ]
     people = np.array([track.positions[-1] for track in scenario.tracks]).reshape(-1, 2)
     size = np.array([box[2] - box[0], box[3] - box[1]])
@@ -193,10 +197,10 @@ def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> N
         zip(mixture.components, cycle(HYPOTHESES), strict=False)
     ):
         route = routes[i]
-        apart = _distance(route, [other for j, other in enumerate(routes) if j != i])
-        far = route[apart >= apart.max() - 0.1]
-        room = np.minimum(_distance(far, [people, mixture.trajectory.positions]), ROOM)
-        roomy = far[room >= room.max() - 1e-9]
+        others = [other for j, other in enumerate(routes) if j != i]
+        room = np.minimum(_distance(route, others), ROOM)
+        room += np.minimum(_distance(route, [people, mixture.trajectory.positions]), ROOM)
+        roomy = route[room >= room.max() - 0.1]
         x, y = roomy[len(roomy) // 2]
         x, y = np.clip((x, y), box[:2] + 0.06 * size, box[2:] - 0.06 * size)
         axes.text(
@@ -343,7 +347,8 @@ def _draw_legend(axes: Axes, mixture: Mixture, scenario: Scenario) -> None:
         entries["person now"] = disc(PERSON, PERSON)
         entries["seen so far"] = line(PERSON, ":", 1.5)
         entries["predicted, with 2σ"] = line(PERSON, (0, (4, 2)), 1.0)
-        entries["planned with the robot"] = line(PERSON, "-", 1.5)
+        if scenario.crowd == "joint":
+            entries["planned with the robot"] = line(PERSON, "-", 1.5)
     if unseen:
         entries["person not in view"] = disc("none", "#777777")
     axes.axis("off")

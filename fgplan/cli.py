@@ -1,0 +1,352 @@
+"""The command line: `fgplan plan`, `fgplan demo`, `fgplan graph`.
+
+Exit codes: 0 there is a plan (or a stop, which is printed as one), 1 there is none, 2 the input
+makes no sense.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from fgplan import selection
+from fgplan.errors import FgplanError, NoPlan
+from fgplan.mixture import Component, Mixture
+from fgplan.planner import plan
+from fgplan.scenario import Scenario
+from fgplan.solver import GtsamLM, SecondOrder, Solver
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+WIDTH = 120
+"""Least columns of a table: a number must not be cut."""
+HEADS = (
+    "prior\nw",
+    "energy\nnats",
+    "log\nevidence",
+    "P by\nheight",
+    "P by\nmass",
+    "separation\nm",
+    "clearance\nm",
+    "itera-\ntions",
+    "time\nms",
+    "\noptima",
+)
+"""Of the numbers of a hypothesis, with their units; see `docs/conventions.md`."""
+YIELDS = 0.05
+"""A displacement from here on is worth naming [standard deviations]."""
+
+app = typer.Typer(
+    help="Plans for robots among people, as inference on a factor graph.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+class SolverName(StrEnum):
+    """What optimises."""
+
+    SECOND_ORDER = "second-order"
+    GTSAM = "gtsam"
+
+
+class SelectName(StrEnum):
+    """What selects."""
+
+    HEIGHT = "height"
+    MASS = "mass"
+
+
+class CrowdName(StrEnum):
+    """What people do in the density."""
+
+    JOINT = "joint"
+    PREDICTED = "predicted"
+
+
+SOLVERS: dict[SolverName, Solver] = {
+    SolverName.SECOND_ORDER: SecondOrder(),
+    SolverName.GTSAM: GtsamLM(),
+}
+RULES = {SelectName.HEIGHT: selection.height, SelectName.MASS: selection.mass}
+
+
+@app.command("plan")
+def plan_command(
+    scenario: Annotated[Path | None, typer.Argument(help="Scenario file (TOML).")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for plan.json and plan.png (default: out; with --json: none)."),
+    ] = None,
+    json_to: Annotated[
+        str | None,
+        typer.Option("--json", help="Write the JSON to a file; - is standard output, alone."),
+    ] = None,
+    solver: Annotated[SolverName, typer.Option(help="Optimiser.")] = SolverName.SECOND_ORDER,
+    select: Annotated[SelectName, typer.Option(help="Follow the plan best by.")] = (
+        SelectName.HEIGHT
+    ),
+    crowd: Annotated[
+        CrowdName | None,
+        typer.Option(help="Plan people with the robot, or hold them at their prediction."),
+    ] = None,
+    recording: Annotated[Path | None, typer.Option(help="Folder of recorded people.")] = None,
+    case: Annotated[str | None, typer.Option(help="Case of the recordings.")] = None,
+    at: Annotated[float, typer.Option(help="Seconds after the start of the case.")] = 0.0,
+) -> None:
+    """Plan one scenario, or one moment of a recording: table, plan.json and plan.png."""
+    with _reported():
+        asked = _asked(scenario, recording, case, at)
+        if crowd is not None:
+            asked = asked.replace(crowd=crowd.value)
+        mixture = plan(asked, solver=SOLVERS[solver], select=RULES[select])
+    if json_to == "-":
+        print(_json(mixture))
+        for line in _notes(mixture):
+            print(line, file=sys.stderr)
+    else:
+        _show(mixture)
+    written = []
+    if json_to not in (None, "-"):
+        written.append(_write(Path(str(json_to)), _json(mixture)))
+    if out is not None or json_to is None:
+        written += _save(mixture, asked, out or Path("out"), "plan")
+    if written and json_to != "-":
+        print(f"wrote     {', '.join(map(str, written))}")
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for pictures and JSON.")] = Path("out/demo"),
+    data: Annotated[
+        Path | None, typer.Option(help="The data folder of the source tree (default: found).")
+    ] = None,
+) -> None:
+    """Three corridors without and with people: the crowd changes which one is chosen."""
+    folder = data or Path(__file__).parents[1] / "data"
+    files = [folder / "scenarios" / f"three_corridors{end}.toml" for end in ("", "_crowd")]
+    if not all(file.is_file() for file in files):
+        _fail(
+            f"the demo needs {files[0].name} and {files[1].name} of the source tree, which are "
+            f"not in {folder / 'scenarios'}; name its data folder with --data"
+        )
+    plans = []
+    for file in files:
+        with _reported():
+            asked = Scenario.load(file)
+            plans.append((plan(asked), asked))
+        _show(plans[-1][0])
+        _save(*plans[-1], out, file.stem)
+        print()
+    from fgplan.plotting import draw_plans
+
+    picture = out / "five_people.png"
+    draw_plans(plans, picture)
+    (empty, _), (crowded, asked) = plans
+    print(f"wrote     {picture}, and each plan as .json and .png beside it")
+    sentence, flipped = _verdict(empty, crowded, len(asked.tracks))
+    print(sentence)
+    if not flipped:
+        raise typer.Exit(1)
+
+
+@app.command()
+def graph(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
+    hypothesis: Annotated[
+        str | None, typer.Option(help="Label of the hypothesis (default: the first).")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Graphviz file.")] = Path("out/graph.dot"),
+) -> None:
+    """Print the factor graph of a hypothesis, and draw it: .dot, and .svg where Graphviz is."""
+    from fgplan import drawing
+
+    with _reported():
+        models = drawing.models(Scenario.load(scenario))
+    label = hypothesis or next(iter(models))
+    if label not in models:
+        raise typer.BadParameter(
+            f"{label!r} is none of {', '.join(models)}", param_hint="hypothesis"
+        )
+    print(f"hypothesis {label}: {drawing.describe(models[label])}")
+    written = [_write(out, drawing.dot(models[label]))]
+    program = shutil.which("dot")
+    if program is not None:
+        picture = out.with_suffix(".svg")
+        subprocess.run([program, "-Tsvg", str(out), "-o", str(picture)], check=True)
+        written.append(picture)
+    print(f"wrote     {', '.join(map(str, written))}")
+
+
+def _asked(scenario: Path | None, recording: Path | None, case: str | None, at: float) -> Scenario:
+    """The scenario that the arguments name."""
+    if (scenario is None) == (recording is None):
+        raise typer.BadParameter("give a scenario file, or --recording with --case")
+    if scenario is not None:
+        if case is not None or at:
+            raise typer.BadParameter("--case and --at are for a --recording")
+        return Scenario.load(scenario)
+    if recording is None or case is None:
+        raise typer.BadParameter("--recording needs a --case")
+    from fgplan import recordings
+
+    return recordings.scenario(recording, case, at)
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    """Errors of the input, or of the search, in words; anything else keeps its traceback."""
+    try:
+        yield
+    except FgplanError as error:
+        _fail(str(error), 1 if isinstance(error, NoPlan) else 2)
+
+
+def _fail(message: str, code: int = 2) -> NoReturn:
+    print(f"fgplan: {message}", file=sys.stderr)
+    raise typer.Exit(code)
+
+
+def _json(mixture: Mixture) -> str:
+    return json.dumps(mixture.to_dict(), allow_nan=False)
+
+
+def _write(path: Path, text: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        _fail(f"{path} cannot be written: {error}")
+    return path
+
+
+def _save(mixture: Mixture, scenario: Scenario, folder: Path, stem: str) -> list[Path]:
+    """The plan as JSON and as a picture."""
+    from fgplan.plotting import draw_plan  # matplotlib only when something is drawn
+
+    data = _write(folder / f"{stem}.json", _json(mixture))
+    picture = folder / f"{stem}.png"
+    draw_plan(mixture, scenario, picture)
+    return [data, picture]
+
+
+def _show(mixture: Mixture) -> None:
+    """The table of hypotheses, what is selected, and what to do."""
+    from rich.console import Console
+
+    columns = shutil.get_terminal_size((WIDTH, 40)).columns
+    Console(highlight=False, width=max(columns, WIDTH)).print(_table(mixture))
+    print(f"selected  {_selected(mixture.best)}")
+    action = mixture.action
+    (x, y), (vx, vy) = action.position, action.velocity
+    print(
+        f"action    {action.kind}: velocity ({vx:.2f}, {vy:.2f}) m/s, "
+        f"next position ({x:.2f}, {y:.2f}) m in {action.time:g} s"
+    )
+    for line in _notes(mixture):
+        print(line)
+
+
+def _notes(mixture: Mixture) -> Iterator[str]:
+    """What to know before driving."""
+    if mixture.action.kind == "stop":
+        clear = "clear of people and obstacles" if mixture.action.safe else "NOT CLEAR"
+        yield f"STOP      {clear}; {mixture.action.reason}"
+    for warning in mixture.warnings:
+        yield f"note      {warning}"
+
+
+def _selected(best: Component | None) -> str:
+    if best is None:
+        return "none"
+    moved = [f"{name} by {far:.1f} σ" for name, far in best.displacement.items() if far >= YIELDS]
+    asks = f"; asks people to yield: {', '.join(moved)}" if moved else ""
+    return f"{best.label} (from the start {best.start!r}){asks}"
+
+
+def _table(mixture: Mixture) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    total = 1e3 * mixture.timing["total"]
+    title = Text(f"{mixture.name} ({total:.0f} ms)")
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1, 0, 0))
+    table.add_column("hypothesis", min_width=10, overflow="fold")
+    for head in HEADS:
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("feasible", min_width=24, overflow="fold")
+    rows = zip(
+        mixture.components, mixture.probability_height, mixture.probability_mass, strict=True
+    )
+    for i, (c, height, mass) in enumerate(rows):
+        mark = "*" if i == mixture.selected else " "
+        numbers = [*_weights(c), f"{height:.3f}", f"{mass:.3f}", *_counts(c)]
+        verdict = "yes" if c.feasible else "no: " + ", ".join(c.check.problems)
+        style = "bold" if i == mixture.selected else None
+        table.add_row(Text(f"{mark} {c.label}"), *numbers, Text(verdict), style=style)
+    return table
+
+
+def _weights(c: Component) -> list[str]:
+    evidence = "–" if c.log_evidence is None else f"{c.log_evidence:.3f}"
+    return [f"{math.exp(c.log_prior):.3f}", f"{c.energy:.3f}", evidence]
+
+
+def _counts(c: Component) -> list[str]:
+    def metres(value: float) -> str:
+        return f"{value:.2f}" if math.isfinite(value) else "–"
+
+    return [
+        metres(c.check.min_separation),
+        metres(c.check.clearance),
+        str(c.iterations),
+        f"{1e3 * c.seconds:.1f}",
+        str(c.optima),
+    ]
+
+
+def _verdict(empty: Mixture, crowded: Mixture, people: int) -> tuple[str, bool]:
+    """Whether the crowd changes which corridor is chosen, in one sentence."""
+    before, after = empty.best, crowded.best
+    if before is None or after is None:
+        return "The demo shows nothing: no hypothesis is safe.", False
+
+    def chance(mixture: Mixture, label: str) -> float:
+        return sum(
+            float(p)
+            for c, p in zip(mixture.components, mixture.probability_height, strict=True)
+            if c.label == label
+        )
+
+    was, now = before.label, after.label
+    if was == now:
+        return f"The crowd does not change the corridor: {was} is chosen with and without.", False
+    return (
+        f"Without people corridor {was} is chosen (P = {chance(empty, was):.2f} against "
+        f"{chance(empty, now):.2f} for {now}); with {people} people in the way it is {now} "
+        f"(P = {chance(crowded, now):.2f} against {chance(crowded, was):.2f} for {was}): "
+        "the crowd changes which corridor is chosen.",
+        True,
+    )
+
+
+def main() -> None:
+    """Entry point of the `fgplan` program."""
+    app(prog_name="fgplan")
+
+
+if __name__ == "__main__":
+    main()
