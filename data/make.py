@@ -22,8 +22,8 @@ DT = 0.4
 """Between two detections [s]."""
 DETECTIONS = 9
 """Of each person; the last one is now, the first 3.2 s ago."""
-QC = 0.029
-"""Power spectral density of a walker's acceleration, fitted on real pedestrians [m²/s³]."""
+QC = 0.002
+"""Power spectral density of a walker's acceleration [m²/s³]: people who walk steadily."""
 SIGMA = 0.02
 """Standard deviation of a detection [m]."""
 
@@ -32,13 +32,13 @@ Person = tuple[float, float, float, float]
 """(x, y, vx, vy) at time 0 [m, m/s]."""
 
 CORRIDOR_PEOPLE: list[Person] = [
-    # Five people coming out of the middle corridor, slowly and side by side: they fill its mouth
-    # while the robot would enter it.
-    (5.4, 0.55, -0.45, 0.00),
-    (5.6, -0.45, -0.50, 0.00),
-    (6.4, 0.05, -0.45, 0.02),
-    (7.2, 0.60, -0.50, -0.02),
-    (7.4, -0.50, -0.45, 0.00),
+    # Five people come out of the middle corridor towards the robot, three abreast and two behind:
+    # they fill its mouth when the robot would enter it.
+    (5.3, 0.60, -0.90, 0.00),
+    (5.6, 0.00, -0.90, 0.00),
+    (5.3, -0.60, -0.90, 0.00),
+    (6.7, 0.35, -0.90, 0.00),
+    (6.7, -0.40, -0.90, 0.00),
 ]
 
 HALL_PEOPLE: list[Person] = [
@@ -86,7 +86,7 @@ def people(name: str) -> str:
     rng, grid = np.random.default_rng(seed), maps()[place]
     walks: list[NDArray[np.float64]] = []
     for person in crowd:
-        attempts = (_walk(person, rng) for _ in range(500))
+        attempts = (_walk(person, rng) for _ in range(5000))
         walks.append(next(walk for walk in attempts if _is_free(walk, walks, grid)))
     entries = [_person(f"p{i}", walk) for i, walk in enumerate(walks, start=1)]
     return f"{PEOPLE}\n\n" + "\n".join(entries)
@@ -136,7 +136,7 @@ def _is_free(
 
 
 def _person(identity: str, rows: NDArray[np.float64]) -> str:
-    track = "\n".join(f"    [{t:.1f}, {x:.2f}, {y:.2f}]," for t, x, y in rows + 0.0)
+    track = "\n".join(f"    [{t:.1f}, {x:.2f}, {y:.2f}]," for t, x, y in np.round(rows, 2) + 0.0)
     return f'[[people]]\nid = "{identity}"\nradius = {RADIUS}\ntrack = [\n{track}\n]\n'
 
 
