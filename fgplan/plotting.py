@@ -66,9 +66,7 @@ def draw_plans(plans: Sequence[tuple[Mixture, Scenario]], path: str | Path | Non
     boxes = [_view(mixture, scenario) for mixture, scenario in plans]
     shares = [min((b[3] - b[1]) / (b[2] - b[0]), 1.0) for b in boxes]
     heights = [max(0.7 * WIDTH * share, 3.0) + 1.3 for share in shares]
-    figure = Figure(
-        figsize=(WIDTH, sum(heights)), layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1)
-    )
+    figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
     rows = figure.subfigures(len(plans), 1, height_ratios=heights, squeeze=False)[:, 0]
     for row, (mixture, scenario), box, height in zip(rows, plans, boxes, heights, strict=True):
         bars_share = min((0.6 + 0.4 * max(len(mixture.components), 3)) / height, 0.6)
