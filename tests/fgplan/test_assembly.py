@@ -183,6 +183,9 @@ def test_gradient_matches_the_linearisation_of_the_gtsam_graph(name):
 def test_gauss_newton_hessian_is_positive_semidefinite_where_the_true_one_is_not(name):
     assembly, _ = assembled(SCENES[name])
     state = jittered(assembly, seed=8, scale=0.6)
+    columns = assembly.models[0].columns
+    person = state[1:, columns["crowd"].start :][:, :2]
+    state[1:, columns["robot"].start :][:, :2] = person + [0.1, 0.1]  # deep in the contact
     flat, full = assembly.gauss_newton(state[None], ONE), assembly.expand(state[None], ONE)
     H = dense(flat.diagonal[0], flat.upper[0])
     assert np.linalg.eigvalsh(dense(full.diagonal[0], full.upper[0]))[0] < 0
