@@ -6,7 +6,6 @@ Figures are matplotlib's `Figure` objects: no pyplot, no global state, no displa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +93,12 @@ def _title(mixture: Mixture) -> str:
     return f"{mixture.name}: selected {best.label} (P = {height:.2f} by height, {mass:.2f} by mass)"
 
 
+def _colours(mixture: Mixture) -> list[str]:
+    """Of each component, by its label: the same in every picture of the same hypotheses."""
+    labels = sorted(c.label for c in mixture.components)
+    return [HYPOTHESES[labels.index(c.label) % len(HYPOTHESES)] for c in mixture.components]
+
+
 def _view(mixture: Mixture, scenario: Scenario) -> Box:
     """What is shown: everything that moves or is meant to, inside the map."""
     points = [scenario.robot.position[None], mixture.trajectory.positions]
@@ -120,7 +125,7 @@ def _draw_map_panel(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) 
     if scenario.grid is not None:
         _draw_grid(axes, scenario.grid)
     _draw_field_of_view(axes, scenario, box)
-    for component, colour in zip(mixture.components, cycle(HYPOTHESES), strict=False):
+    for component, colour in zip(mixture.components, _colours(mixture), strict=True):
         _draw_hypothesis(axes, component, colour)
     _draw_names(axes, mixture, scenario, box)
     tracks = seen(scenario)
@@ -191,9 +196,8 @@ def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> N
     ]
     people = np.array([track.positions[-1] for track in scenario.tracks]).reshape(-1, 2)
     size = np.array([box[2] - box[0], box[3] - box[1]])
-    for i, (component, colour) in enumerate(
-        zip(mixture.components, cycle(HYPOTHESES), strict=False)
-    ):
+    colours = _colours(mixture)
+    for i, component in enumerate(mixture.components):
         route = routes[i]
         others = [other for j, other in enumerate(routes) if j != i]
         room = np.minimum(_distance(route, others), ROOM)
@@ -210,7 +214,7 @@ def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> N
             fontsize=10,
             zorder=9,
             parse_math=False,
-            bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": colour, "lw": 1.5},
+            bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": colours[i], "lw": 1.5},
         )
 
 
@@ -308,7 +312,7 @@ def _draw_seconds(
 def _draw_bars(axes: Axes, mixture: Mixture) -> None:
     """P(i) by height and by mass; what is not feasible is named so."""
     where = np.arange(len(mixture.components), dtype=float)
-    colours = list(islice(cycle(HYPOTHESES), len(where)))
+    colours = _colours(mixture)
     for shift, values, hatch in (
         (-0.2, mixture.probability_height, ""),
         (0.2, mixture.probability_mass, "////"),
