@@ -57,9 +57,10 @@ class Roadmap:
 
     @classmethod
     def build(cls, grid: OccupancyGrid, radius: float) -> Self:
-        """Cells that are coarse for the radius (more than a quarter of it) are divided first, by
-        at most 4: a lattice cannot resolve a lane for a robot smaller than its cells."""
-        divide = 4 if radius <= 0 else int(np.clip(np.ceil(4 * grid.resolution / radius), 1, 4))
+        """Cells wider than half the radius are first divided by 3, or 5: a lattice cannot resolve
+        a lane for a robot no larger than its cells. (Odd, so that a lane has a middle.)"""
+        coarse = np.inf if radius <= 0 else 2 * grid.resolution / radius
+        divide = 1 if coarse <= 1 else 3 if coarse <= 3 else 5
         occupied = np.kron(grid.occupied, np.ones((divide, divide), dtype=bool))
         cell = grid.resolution / divide
         c, s = np.cos(grid.origin[2]), np.sin(grid.origin[2])
@@ -207,22 +208,18 @@ class Roadmap:
         """The nearest free node that a straight line reaches without touching an obstacle cell,
         at most `within` cells away; None where there is none."""
         rows, cols = self.free.shape
-        window = min(within, 2.0)
-        while True:
-            low = np.clip(np.floor(point - window).astype(int), 0, [cols, rows])
-            high = np.clip(np.ceil(point + window).astype(int) + 1, 0, [cols, rows])
-            found = np.argwhere(self.free[low[1] : high[1], low[0] : high[0]])[:, ::-1] + low
-            away = np.linalg.norm(found - point, axis=1)
-            found = found[away <= window].astype(float)
-            if len(found):
-                visible = ~self.crosses_obstacle(point, found)
-                if visible.any():
-                    nearest = np.argmin(np.where(visible, away[away <= window], np.inf))
-                    col, row = found[nearest].astype(int)
-                    return int(row * cols + col)
-            if window >= within:
-                return None
-            window = min(2 * window, within)
+        low = np.clip(np.floor(point - within).astype(int), 0, [cols, rows])
+        high = np.clip(np.ceil(point + within).astype(int) + 1, 0, [cols, rows])
+        row, col = np.nonzero(self.free[low[1] : high[1], low[0] : high[0]])
+        found = np.stack([col, row], axis=-1) + low
+        away = np.linalg.norm(found - point, axis=1)
+        order = np.argsort(away)[: np.count_nonzero(away <= within)]
+        for some in (order[k : k + 32] for k in range(0, len(order), 32)):
+            visible = ~self.crosses_obstacle(point, found[some].astype(float))
+            if visible.any():
+                col, row = found[some[np.argmax(visible)]]
+                return int(row * cols + col)
+        return None
 
     def reach(self, node: int, limit: float = np.inf) -> tuple[Array, NDArray[np.int32]]:
         """Length of the shortest lattice path from a node to every node [cells], inf where there

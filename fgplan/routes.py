@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+START_TOLERANCE = 1.0
+"""How far beyond its radius a robot that stands too near an obstacle looks for a free place [m]."""
+
 GOAL_TOLERANCE = 0.5
 """How far from the goal a route may end [m], where the robot's disc does not fit at the goal."""
 
@@ -85,17 +88,13 @@ def find_routes(
         raise ValueError(f"count must be at least 1, got {count}")
     if grid is None or np.linalg.norm(b - a) < 1e-9:
         if grid is not None:
-            _ends(grid, a, b, radius)
+            _ends(grid, a, b, radius)  # raises where the robot cannot stand
         return (Route("A", np.array([a, b]), float(np.linalg.norm(b - a)), ()),)
     road, first, last = _ends(grid, a, b, radius)
-    to_goal = reach(road, last)
-    direct = _direct(road, grid, first, last, to_goal, a, b)
-    here, there = road.to_lattice(a), road.to_lattice(b)
-    head = _link(road, here, first)
-    tail = _link(road, there, last, exact=True)
+    head, tail = road.to_lattice(a)[None], _tail(road, road.to_lattice(b), last)
     classes: dict[bytes, Array] = {}
     lengths: list[float] = []
-    for looked, nodes in enumerate(_candidates(road, first, last, direct, to_goal[0])):
+    for looked, nodes in enumerate(_candidates(road, first, last)):
         steps = road.place(nodes)
         bound = DETOUR * _length(steps)
         if looked >= count * MOST_CANDIDATES or (
@@ -123,9 +122,8 @@ def shortest_path(grid: OccupancyGrid, start: Any, goal: Any, radius: float) -> 
     """
     a, b = _point(start, "start"), _point(goal, "goal")
     road, first, last = _ends(grid, a, b, radius)
-    to_goal = reach(road, last)
-    nodes = _direct(road, grid, first, last, to_goal, a, b)
-    return road.to_map(road.place(nodes)), float(to_goal[0][first]) * road.cell
+    length, before = reach(road, last)
+    return road.to_map(road.place(trace(before, first))), float(length[first]) * road.cell
 
 
 def _point(value: Any, name: str) -> Array:
@@ -136,7 +134,7 @@ def _point(value: Any, name: str) -> Array:
 
 
 def _ends(grid: OccupancyGrid, a: Array, b: Array, radius: float) -> tuple[Roadmap, int, int]:
-    """The roadmap and the free nodes that stand for start and goal."""
+    """The roadmap and the free nodes that stand for start and goal, with a way between them."""
     if not (math.isfinite(radius) and radius >= 0):
         raise ValueError(f"radius must be finite and not negative, got {radius}")
     for name, point in (("start", a), ("goal", b)):
@@ -153,7 +151,7 @@ def _ends(grid: OccupancyGrid, a: Array, b: Array, radius: float) -> tuple[Roadm
                 f"{name.upper()}_OCCUPIED", f"{place} is in an obstacle; move it to a free place"
             )
     road = roadmap(grid, radius)
-    first = road.nearest_free(road.to_lattice(a), math.hypot(*grid.data.shape) * 4)
+    first = road.nearest_free(road.to_lattice(a), (START_TOLERANCE + radius) / road.cell)
     if first is None:
         raise NoRoute(
             "NO_VALID_PATH",
@@ -167,34 +165,20 @@ def _ends(grid: OccupancyGrid, a: Array, b: Array, radius: float) -> tuple[Roadm
             f"no place with room for a radius of {radius:g} m is within {GOAL_TOLERANCE:g} m of "
             f"goal ({b[0]:g}, {b[1]:g}); move it or give a smaller radius",
         )
-    return road, first, last
-
-
-def _direct(
-    road: Roadmap,
-    grid: OccupancyGrid,
-    first: int,
-    last: int,
-    to_goal: tuple[Array, NDArray[np.int32]],
-    a: Array,
-    b: Array,
-) -> Nodes:
-    """Nodes of the shortest lattice path."""
-    if not np.isfinite(to_goal[0][first]):
+    if not np.isfinite(reach(road, last)[0][first]):
         raise NoRoute(
             "NO_VALID_PATH",
             f"nothing leads from start ({a[0]:g}, {a[1]:g}) to goal ({b[0]:g}, {b[1]:g}) for a "
-            f"radius of {road.rho * road.cell:g} m; move one of them or give a smaller radius",
+            f"radius of {radius:g} m; move one of them or give a smaller radius",
         )
-    return trace(to_goal[1], first)
+    return road, first, last
 
 
-def _link(road: Roadmap, point: Array, node: int, exact: bool = False) -> Array:
-    """The point itself as the route's end, shape (1, 2), or nothing, shape (0, 2), where the
-    route ends at the node because the robot does not fit at the point."""
-    if exact and road.clearance([np.array([point, road.place(node)])])[0][0] < road.rho:
-        return np.zeros((0, 2))
-    return point[None]
+def _tail(road: Roadmap, goal: Array, last: int) -> Array:
+    """The goal as the route's end, shape (1, 2), or nothing, shape (0, 2), where the route ends at
+    the last node because the robot does not fit at the goal."""
+    fits = road.clearance([np.array([road.place(last), goal])])[0][0] >= road.rho
+    return goal[None] if fits else np.zeros((0, 2))
 
 
 def _ranked(road: Roadmap, paths: list[Array], start: Array) -> tuple[Route, ...]:
@@ -228,20 +212,18 @@ def _length(path: Array) -> float:
 # Candidates
 
 
-def _candidates(
-    road: Roadmap, first: int, last: int, direct: Nodes, to_goal: Array
-) -> Iterator[Nodes]:
+def _candidates(road: Roadmap, first: int, last: int) -> Iterator[Nodes]:
     """Paths as nodes from `first` to `last`: the shortest one, then simple ones along the
     skeleton by their length on it."""
-    yield direct
+    to_goal, before_goal = reach(road, last)
+    yield trace(before_goal, first)
     chains = [chain for chain in road.skeleton if np.isfinite(to_goal[chain[0]])]
     if not chains:
         return
     bones = np.concatenate(chains)
-    before_last = reach(road, last)[1]
     q = int(bones[np.argmin(to_goal[bones])])
     p, on = _to_bones(road, first, bones)
-    off = trace(before_last, q)
+    off = trace(before_goal, q)
     for part in _simple_paths(_edges(road, chains, p, q), p, q):
         yield np.concatenate([on, *part, off])
 
