@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from factors.pairwise import PairPotential
-from factors.residual import Array, Expansion
+from factors.pairwise import PairPotential, Radial
+from factors.residual import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,37 +53,38 @@ class Interaction(PairPotential):
         stepped = isinstance(self.variance, np.ndarray) and self.variance.ndim > 1
         return replace(self, variance=self.variance[step]) if stepped else self  # type: ignore[index]
 
-    @property
+    @cached_property
     def _s2(self) -> Array:
         return np.asarray(self.h_c**2 + self.variance)
 
-    def energy(self, delta: Array) -> Array:
-        q = 0.5 * (delta**2).sum(-1) / self._s2
+    def energy(self, d2: Array) -> Array:
+        u = self._presence(d2)
         with np.errstate(divide="ignore"):  # alpha = 1 at contact: energy inf, as it should be
-            return np.asarray(-self.weight * np.log1p(-self.alpha * np.exp(-q)))
+            return np.asarray(-self.weight * np.log1p(-u))
 
-    def linearize(self, delta: Array) -> tuple[Array, Array]:
-        q = 0.5 * (delta**2).sum(-1) / self._s2
-        u = self.alpha * np.exp(-q)
-        # e = √(2u) s with s = √(−log(1 − u)/u), s → 1: no 0/0 where u underflows.
+    def linearize(self, d2: Array) -> tuple[Array, Array]:
+        u = self._presence(d2)
+        # e = √(2 weight u) s with s = √(−log(1 − u)/u), s → 1: no 0/0 where u underflows.
         small = u < 1e-8
-        safe = np.where(small, 0.5, np.minimum(u, 1 - 1e-16))
-        s = np.where(small, 1 + 0.25 * u, np.sqrt(-np.log1p(-safe) / safe))
-        root = np.sqrt(2 * self.weight * self.alpha) * np.exp(-0.5 * q)
-        slope = -0.5 * root / (np.maximum(1 - u, 1e-16) * s)
-        e = np.sqrt(2 * self.energy(delta))
-        return np.where(small, root * s, e), (slope / self._s2)[..., None] * delta
+        safe = np.where(small, 0.5, u)
+        with np.errstate(divide="ignore"):
+            s = np.where(small, 1 + 0.25 * u, np.sqrt(-np.log1p(-safe) / safe))
+        root = np.sqrt(2 * self.weight * self.alpha) * np.exp((-0.25 / self._s2) * d2)
+        # At contact with alpha = 1, s is inf and the slope, in the limit, too; 0 keeps NaN away.
+        c = -0.5 * root / (np.maximum(1 - u, _TINY) * s * self._s2)
+        return root * s, c
 
-    def expand(self, delta: Array) -> Expansion:
-        inverse = 1 / self._s2
-        q = 0.5 * (delta**2).sum(-1) * inverse
-        u = self.alpha * np.exp(-q)
-        rest = np.maximum(1 - u, 1e-16)
-        first = -self.weight * u / rest * inverse
-        second = self.weight * u / rest**2 * inverse**2
-        H = (second[..., None, None] * delta[..., :, None]) * delta[..., None, :]
-        axis = np.arange(delta.shape[-1])
-        H[..., axis, axis] += first[..., None]
+    def expand(self, d2: Array) -> Radial:
+        u = self._presence(d2)
+        rest = np.maximum(1 - u, _TINY)
+        ratio = (self.weight / self._s2) * (u / rest)
         with np.errstate(divide="ignore"):
             energy = -self.weight * np.log1p(-u)
-        return Expansion(energy, first[..., None] * delta, H)
+        return Radial(energy, -ratio, -ratio, ratio / (rest * self._s2))
+
+    def _presence(self, d2: Array) -> Array:
+        """u = alpha exp(−d²/(2 s²)), between 0 and alpha."""
+        return np.asarray(self.alpha * np.exp((-0.5 / self._s2) * d2))
+
+
+_TINY = 1e-16

@@ -1,7 +1,8 @@
 """Potentials between pairs of bodies: all pairs of a time step, and all time steps, in one call.
 
-A potential says what two bodies at a separation Δ = p_i − p_j are worth; a wiring says which
-bodies are variables. `interaction.py` and `contact.py` hold the potentials.
+A potential is a function of the squared distance of two bodies, so its gradient is a·Δ and its
+Hessian a·I + b·ΔΔᵀ with Δ = p_i − p_j: three numbers a pair. A wiring says which bodies are
+variables. `interaction.py` and `contact.py` hold the potentials.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,27 +18,34 @@ from numpy.typing import NDArray
 from factors.residual import Array, Expansion, Residual
 
 
+class Radial(NamedTuple):
+    """Expansion of pair energies: energy, gradient slope·Δ, Hessian a·I + b·ΔΔᵀ; all (..., P)."""
+
+    energy: Array
+    slope: Array
+    a: Array | float
+    b: Array
+
+
 class PairPotential(ABC):
-    """A function of the separation Δ, shape (..., P, 2) for P pairs, as a whitened scalar error."""
+    """An energy of the squared distance d2 of two bodies, shape (..., P) for P pairs."""
 
     @abstractmethod
-    def linearize(self, delta: Array) -> tuple[Array, Array]:
-        """Error (..., P) and its gradient in Δ (..., P, 2)."""
-
-    @abstractmethod
-    def energy(self, delta: Array) -> Array:
+    def energy(self, d2: Array) -> Array:
         """−log of the potential, shape (..., P)."""
 
     @abstractmethod
-    def expand(self, delta: Array) -> Expansion:
-        """Energy (..., P), gradient (..., P, 2) and Hessian (..., P, 2, 2) in Δ."""
+    def linearize(self, d2: Array) -> tuple[Array, Array]:
+        """Whitened error e (..., P), energy ½e², and c (..., P) with ∂e/∂Δ = c·Δ."""
 
-    def gauss_newton(self, delta: Array) -> Expansion:
+    @abstractmethod
+    def expand(self, d2: Array) -> Radial:
+        """Energy with its true curvature."""
+
+    def gauss_newton(self, d2: Array) -> Radial:
         """The same with the Gauss–Newton Hessian, which is positive semidefinite."""
-        e, slope = self.linearize(delta)
-        return Expansion(
-            0.5 * e**2, e[..., None] * slope, slope[..., :, None] * slope[..., None, :]
-        )
+        e, c = self.linearize(d2)
+        return Radial(0.5 * e**2, e * c, 0.0, c**2)
 
     def at(self, step: int) -> Self:
         """This potential with the parameters of one time step."""
@@ -55,6 +63,7 @@ class CrowdPairs(Residual):
         n: Number of people, at least 1.
         pairs: "all", or only the "robot" with each person.
         robot_dim: Size of the robot's variable.
+        space: Number of coordinates of a position.
     """
 
     potential: PairPotential
@@ -89,19 +98,23 @@ class CrowdPairs(Residual):
         G[rows, self.index[0]], G[rows, self.index[1]] = 1, -1
         return G
 
-    def separations(self, robot: Array, crowd: Array) -> Array:
-        """Δ of all pairs, shape (..., P, space)."""
-        people = crowd[..., : self.space * self.n]
-        people = people.reshape(*crowd.shape[:-1], self.n, self.space)
-        bodies = np.concatenate([robot[..., None, : self.space], people], axis=-2)
+    def _separations(self, robot: Array, crowd: Array) -> list[Array]:
+        """Δ of all pairs, one array (..., P) per coordinate."""
         i, j = self.index
-        return np.asarray(bodies[..., i, :] - bodies[..., j, :])
+        apart = []
+        for c in range(self.space):
+            people = crowd[..., c : self.space * self.n : self.space]
+            bodies = np.concatenate([robot[..., c : c + 1], people], axis=-1)
+            apart.append(bodies.take(i, axis=-1) - bodies.take(j, axis=-1))
+        return apart
 
     def energy(self, *x: Array) -> Array:
-        return np.asarray(self.potential.energy(self.separations(*x)).sum(-1))
+        return np.asarray(self.potential.energy(_square(self._separations(*x))).sum(-1))
 
     def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
-        e, slope = self.potential.linearize(self.separations(*x))
+        delta = self._separations(*x)
+        e, c = self.potential.linearize(_square(delta))
+        slope = np.stack([c * d for d in delta], axis=-1)
         J = self._incidence[:, :, None] * slope[..., :, None, :]
         J_robot = np.zeros((*e.shape, self.dims[0]))
         J_crowd = np.zeros((*e.shape, self.dims[1]))
@@ -110,27 +123,37 @@ class CrowdPairs(Residual):
         return e, (J_robot, J_crowd)
 
     def expand(self, *x: Array) -> Expansion:
-        return self._gather(self.potential.expand(self.separations(*x)))
+        delta = self._separations(*x)
+        return self._gather(delta, self.potential.expand(_square(delta)))
 
     def gauss_newton(self, *x: Array) -> Expansion:
-        return self._gather(self.potential.gauss_newton(self.separations(*x)))
+        delta = self._separations(*x)
+        return self._gather(delta, self.potential.gauss_newton(_square(delta)))
 
-    def _gather(self, pair: Expansion) -> Expansion:
-        """Expansions of pairs (..., P) as one of all bodies."""
+    def _gather(self, delta: list[Array], pair: Radial) -> Expansion:
+        """Pairs (..., P) as one expansion of all bodies."""
         batch, d = pair.energy.shape[:-1], self.space
-        gradient = (self._incidence.T @ pair.gradient).reshape(*batch, -1)
-        # Bodies (a, b) of a pair get +H on the diagonal and −H beside it.
+        gradient = np.empty((*batch, self.n + 1, d))
         H = np.zeros((*batch, self.n + 1, d, self.n + 1, d))
-        own = np.abs(self._incidence).T @ pair.hessian.reshape(*batch, -1, d * d)
         i, j = self.index
-        body = np.arange(self.n + 1)
+        body, both = np.arange(self.n + 1), np.abs(self._incidence)
         for r in range(d):
-            for c in range(d):
-                H[..., body, r, body, c] = own[..., d * r + c]
-                H[..., i, r, j, c] = -pair.hessian[..., r, c]
-                H[..., j, r, i, c] = -pair.hessian[..., r, c]
+            gradient[..., r] = (pair.slope * delta[r]) @ self._incidence
+            for c in range(r + 1):
+                h = pair.b * delta[r] * delta[c]
+                if r == c:
+                    h += pair.a
+                # Bodies (i, j) of a pair get +h on the diagonal and −h beside it.
+                own = h @ both
+                np.negative(h, out=h)
+                for row, column in {(r, c), (c, r)}:
+                    H[..., body, row, body, column] = own
+                    H[..., i, row, j, column] = h
+                    H[..., j, row, i, column] = h
         size = d * (self.n + 1)
-        return Expansion(pair.energy.sum(-1), gradient, H.reshape(*batch, size, size))
+        return Expansion(
+            pair.energy.sum(-1), gradient.reshape(*batch, size), H.reshape(*batch, size, size)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,32 +182,56 @@ class PredictedPairs(Residual):
     def rows(self) -> int:
         return int(self.people.shape[-2])
 
+    @property
+    def _space(self) -> int:
+        return int(self.people.shape[-1])
+
     @cached_property
     def support(self) -> NDArray[np.intp]:
-        return np.arange(self.people.shape[-1])
+        return np.arange(self._space)
 
     def at(self, step: int) -> Self:
         if self.people.ndim == 2:
             return self
         return replace(self, people=self.people[step], potential=self.potential.at(step))
 
-    def _separations(self, robot: Array) -> Array:
-        return np.asarray(robot[..., None, : self.people.shape[-1]] - self.people)
+    @cached_property
+    def _coordinates(self) -> list[Array]:
+        return [np.ascontiguousarray(self.people[..., c]) for c in range(self._space)]
+
+    def _separations(self, robot: Array) -> list[Array]:
+        return [robot[..., c, None] - people for c, people in enumerate(self._coordinates)]
 
     def energy(self, *x: Array) -> Array:
-        return np.asarray(self.potential.energy(self._separations(*x)).sum(-1))
+        return np.asarray(self.potential.energy(_square(self._separations(*x))).sum(-1))
 
     def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
-        e, slope = self.potential.linearize(self._separations(*x))
+        delta = self._separations(*x)
+        e, c = self.potential.linearize(_square(delta))
         J = np.zeros((*e.shape, self.robot_dim))
-        J[..., : self.people.shape[-1]] = slope
+        for r, d in enumerate(delta):
+            J[..., r] = c * d
         return e, (J,)
 
     def expand(self, *x: Array) -> Expansion:
-        return _total(self.potential.expand(self._separations(*x)))
+        delta = self._separations(*x)
+        return self._total(delta, self.potential.expand(_square(delta)))
 
     def gauss_newton(self, *x: Array) -> Expansion:
-        return _total(self.potential.gauss_newton(self._separations(*x)))
+        delta = self._separations(*x)
+        return self._total(delta, self.potential.gauss_newton(_square(delta)))
+
+    def _total(self, delta: list[Array], pair: Radial) -> Expansion:
+        """The sum over people, as an expansion in the robot's position."""
+        batch, d = pair.energy.shape[:-1], self._space
+        gradient, H = np.empty((*batch, d)), np.empty((*batch, d, d))
+        for r in range(d):
+            gradient[..., r] = np.einsum("...p,...p->...", pair.slope, delta[r])
+            weighted = pair.b * delta[r]
+            for c in range(r + 1):
+                H[..., r, c] = H[..., c, r] = np.einsum("...p,...p->...", weighted, delta[c])
+            H[..., r, r] += pair.a.sum(-1) if isinstance(pair.a, np.ndarray) else 0.0
+        return Expansion(pair.energy.sum(-1), gradient, H)
 
 
 def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -197,5 +244,8 @@ def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp]
     return i, j
 
 
-def _total(pair: Expansion) -> Expansion:
-    return Expansion(pair.energy.sum(-1), pair.gradient.sum(-2), pair.hessian.sum(-3))
+def _square(delta: list[Array]) -> Array:
+    total = delta[0] ** 2
+    for d in delta[1:]:
+        total += d**2
+    return total

@@ -1,15 +1,16 @@
 """The density of all hypotheses at once, as numpy sees it: energy, gradient and Hessian.
 
-The linear-Gaussian part is assembled once. What is left (interaction, contact, obstacles, limits)
-is shared by all hypotheses and is evaluated for all starts and all time steps in one call a term.
+The linear-Gaussian part is assembled once. What is left (interaction, contact, obstacles, limits,
+the user's own factors) is shared by all hypotheses; it is evaluated for all starts and all time
+steps in one call a term, and its curvature is kept in small blocks until a system is solved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -21,15 +22,10 @@ from fgplan.model import Model, Term
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Expand = Callable[[Residual, list[Array]], Expansion]
 
-
-class Quadratic(NamedTuple):
-    """Expansion of B energies: (B,), (B, S, D), (B, S, D, D) and (B, S − 1, D, D)."""
-
-    energy: Array
-    gradient: Array
-    diagonal: Array
-    upper: Array
+CHUNK = 65536
+"""Numbers in the Hessian blocks that are laid out at once: they should stay in the cache."""
 
 
 class NotAChain(ValueError):
@@ -38,7 +34,7 @@ class NotAChain(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class _Wired:
-    """A term with the places of its variables in the state.
+    """A nonlinear term with the places of its variables in the state.
 
     `runs` are contiguous runs of the residual's support: (offset in time, slice of the state,
     slice of the expansion).
@@ -52,6 +48,74 @@ class _Wired:
     def variables(self, X: Array) -> list[Array]:
         return [X[..., steps, columns] for steps, columns in self.slots]
 
+    def steps(self, offset: int) -> slice:
+        return slice(self.first.start + offset, self.first.stop + offset)
+
+    def add_gradient(self, part: Array, gradient: Array) -> None:
+        for offset, columns, rows in self.runs:
+            gradient[..., self.steps(offset), columns] += part[..., rows]
+
+    def add_hessian(self, part: Array, diagonal: Array, upper: Array) -> None:
+        """Add blocks (..., steps, s, s) into the chain."""
+        for at_row, into_rows, rows in self.runs:
+            for at_column, into_columns, columns in self.runs:
+                block = part[..., rows, columns]
+                if at_row == at_column:
+                    diagonal[..., self.steps(at_row), into_rows, into_columns] += block
+                elif at_row < at_column:
+                    upper[..., self.steps(at_row), into_rows, into_columns] += block
+
+
+class Quadratic:
+    """Expansion of B energies at states (B, S, D).
+
+    Attributes:
+        energy: Shape (B,).
+        gradient: Shape (B, S, D).
+    """
+
+    def __init__(self, assembly: Assembly, X: Array, which: Index, expand: Expand) -> None:
+        self._assembly, self._which = assembly, which
+        d = X - assembly.reference[which]
+        curve = assembly.times(d, which)
+        self.linear_gradient = assembly.gradient[which] + curve
+        self.linear_energy = assembly.constant[which] + _dot(self.linear_gradient - 0.5 * curve, d)
+        self.energy = self.linear_energy.copy()
+        self.gradient = self.linear_gradient.copy()
+        self._parts = []
+        for wired in assembly.nonlinear:
+            part = expand(wired.residual, wired.variables(X))
+            self.energy += part.energy.sum(-1)
+            wired.add_gradient(part.gradient, self.gradient)
+            self._parts.append((wired, part.hessian))
+        self.gradient[:, ~assembly.free] = 0.0
+
+    def hessian(self, rows: Index) -> tuple[Array, Array]:
+        """Blocks (k, k), shape (R, S, D, D), and (k, k + 1), shape (R, S − 1, D, D), of some of
+        the B Hessians."""
+        diagonal, upper = self._assembly.linear_hessian(self._which[rows])
+        for wired, part in self._parts:
+            wired.add_hessian(part[rows], diagonal, upper)
+        self._assembly.hold_fixed(diagonal, upper)
+        return diagonal, upper
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """Blocks (k, k) of all B Hessians, shape (B, S, D, D)."""
+        return self.hessian(np.arange(len(self.energy)))[0]
+
+    @cached_property
+    def upper(self) -> Array:
+        """Blocks (k, k + 1) of all B Hessians, shape (B, S − 1, D, D)."""
+        return self.hessian(np.arange(len(self.energy)))[1]
+
+    def hessians(self, rows: Index) -> Iterator[tuple[int, Array, Array]]:
+        """Each of some rows with its blocks (S, D, D) and (S − 1, D, D), a few at a time."""
+        size = max(1, CHUNK // self._assembly.reference[0].size // self.gradient.shape[-1])
+        for at in range(0, len(rows), size):
+            chunk = rows[at : at + size]
+            yield from zip(chunk.tolist(), *self.hessian(chunk), strict=True)
+
 
 class Assembly:
     """Vectorised view of models that share their nonlinear terms (those of one `build`).
@@ -60,7 +124,9 @@ class Assembly:
         models: One per hypothesis.
 
     Raises:
-        ValueError: the models do not share their terms, or a hypothesis's own term is not linear.
+        ValueError: the models do not share their terms, a hypothesis's own term is not linear, or
+            a user's factor is on a variable that does not exist.
+        NotAChain: a user's factor connects time steps that are not neighbours.
     """
 
     def __init__(self, models: Sequence[Model]) -> None:
@@ -71,30 +137,39 @@ class Assembly:
         if not all(isinstance(term.residual, Linear) for m in self.models for term in m.own):
             raise ValueError("the terms that differ by hypothesis must be linear")
         self.reference = np.stack([model.reference for model in self.models])
-        S, D = first.reference.shape
-        self._nonlinear = [
+        _, S, D = self.reference.shape
+        self.nonlinear = [
             _wire(term, first.columns)
             for term in first.shared
             if not isinstance(term.residual, Linear)
-        ]
-        K = len(self.models)
-        # Plans that differ only in where they lead share one constant Hessian.
-        alike = all(_same_curvature(model, first) for model in self.models)
-        self._row = np.zeros(K, dtype=np.intp) if alike else np.arange(K)
-        self._diagonal = np.zeros((self._row[-1] + 1, S, D, D))
-        self._upper = np.zeros((self._row[-1] + 1, S - 1, D, D))
-        self._gradient = np.zeros((K, S, D))
-        self._constant = np.zeros(K)
-        for i, model in enumerate(self.models):
-            for term in model.terms:
-                if isinstance(term.residual, Linear):
-                    self._add_linear(i, model, term)
-        self._extra = [_ExtraFactor(factor, first) for factor in first.extra]
+        ] + [_wire_user(factor, first) for factor in first.extra]
         self.free = np.ones((S, D), dtype=bool)
         for name, k in first.fixed:
             self.free[k, first.columns[name]] = False
+        self._add_linear(first.columns)
 
-    @property
+    def _add_linear(self, columns: dict[str, slice]) -> None:
+        """The constant Hessian, and energy and gradient of the linear terms at the reference."""
+        K, S, D = self.reference.shape
+        # Plans that differ only in where they lead share one constant Hessian.
+        alike = all(_same_curvature(model, self.models[0]) for model in self.models)
+        self._row = np.zeros(K, dtype=np.intp) if alike else np.arange(K)
+        self._diagonal = np.zeros((self._row[-1] + 1, S, D, D))
+        self._upper = np.zeros((self._row[-1] + 1, S - 1, D, D))
+        self.gradient, self.constant = np.zeros((K, S, D)), np.zeros(K)
+        for i, model in enumerate(self.models):
+            row = self._row[i]
+            for term in model.terms:
+                if not isinstance(term.residual, Linear):
+                    continue
+                wired = _wire(term, columns)
+                part = term.residual.gauss_newton(*wired.variables(model.reference))
+                self.constant[i] += float(part.energy.sum())
+                wired.add_gradient(part.gradient, self.gradient[i])
+                if i == 0 or row > 0:
+                    wired.add_hessian(part.hessian, self._diagonal[row], self._upper[row])
+
+    @cached_property
     def dimension(self) -> int:
         """Number of free scalar variables."""
         return int(self.free.sum())
@@ -106,50 +181,60 @@ class Assembly:
             X: States, shape (..., S, D).
             which: Hypothesis of each, broadcasting against the leading axes of X.
         """
+        which = np.broadcast_to(which, X.shape[:-2])
         with np.errstate(over="ignore", invalid="ignore"):  # inf and nan are checked by callers
             d = X - self.reference[which]
-            curve = self._times(d, which)
-            energy = self._constant[which] + _dot(self._gradient[which] + 0.5 * curve, d)
-            for wired in self._nonlinear:
-                energy = energy + wired.residual.energy(*wired.variables(X)).sum(-1)
-            for factor in self._extra:
-                energy = energy + factor.energy(X)
-        return np.asarray(energy)
+            linear = self.gradient[which] + 0.5 * self.times(d, which)
+            return np.asarray(self.constant[which] + _dot(linear, d) + self._potentials(X))
 
     def expand(self, X: Array, which: Index) -> Quadratic:
         """Second-order expansion with the true Hessian; X has shape (B, S, D)."""
-        return self._expand(X, which, lambda residual, x: residual.expand(*x))
+        return Quadratic(self, X, which, lambda residual, x: residual.expand(*x))
 
     def gauss_newton(self, X: Array, which: Index) -> Quadratic:
         """The same with the Gauss–Newton Hessian, which is positive semidefinite."""
-        return self._expand(X, which, lambda residual, x: residual.gauss_newton(*x))
+        return Quadratic(self, X, which, lambda residual, x: residual.gauss_newton(*x))
 
-    def _expand(
-        self, X: Array, which: Index, expansion: Callable[[Residual, list[Array]], Expansion]
-    ) -> Quadratic:
-        B = len(X)
-        d = X - self.reference[which]
-        curve = self._times(d, which)
-        gradient = self._gradient[which] + curve
-        energy = self._constant[which] + _dot(gradient - 0.5 * curve, d)
+    def along(self, q: Quadratic, X: Array, step: Array, which: Index) -> Callable[[Array], Array]:
+        """Energies on the line X + s·step, as a function of lengths s (L, B) → (L, B).
+
+        The linear-Gaussian part is exactly quadratic on the line.
+        """
+        slope = _dot(q.linear_gradient, step)
+        curvature = _dot(self.times(step, which), step)
+
+        def energies(s: Array) -> Array:
+            with np.errstate(over="ignore", invalid="ignore"):
+                linear = q.linear_energy + s * slope + 0.5 * s**2 * curvature
+                return np.asarray(linear + self._potentials(X + s[..., None, None] * step))
+
+        return energies
+
+    def times(self, d: Array, which: Index) -> Array:
+        """Constant Hessian times d, shape (..., S, D)."""
+        if len(self._diagonal) > 1:
+            diagonal, upper = self._diagonal[self._row[which]], self._upper[self._row[which]]
+            out = np.matmul(diagonal, d[..., None])[..., 0]
+            out[..., :-1, :] += np.matmul(upper, d[..., 1:, :, None])[..., 0]
+            lower = np.swapaxes(upper, -1, -2)
+            out[..., 1:, :] += np.matmul(lower, d[..., :-1, :, None])[..., 0]
+            return np.asarray(out)
+        # One matrix a step for all: one product with many columns, not many with one.
+        columns = np.ascontiguousarray(np.moveaxis(d.reshape(-1, *d.shape[-2:]), 0, -1))
+        product = np.matmul(self._diagonal[0], columns)
+        product[:-1] += np.matmul(self._upper[0], columns[1:])
+        product[1:] += np.matmul(np.swapaxes(self._upper[0], -1, -2), columns[:-1])
+        return np.ascontiguousarray(np.moveaxis(product, -1, 0)).reshape(d.shape)
+
+    def linear_hessian(self, which: Index) -> tuple[Array, Array]:
+        """Copies of the constant Hessian blocks, one per hypothesis asked for."""
         rows = self._row[which]
-        diagonal, upper = self._diagonal[rows], self._upper[rows]
-        for wired in self._nonlinear:
-            part = expansion(wired.residual, wired.variables(X))
-            energy = energy + part.energy.sum(-1)
-            _scatter(wired, part, gradient, diagonal, upper)
-        for factor in self._extra:
-            for b in range(B):
-                energy[b] += factor.add(X[b], gradient[b], diagonal[b], upper[b])
-        self._hold_fixed(gradient, diagonal, upper)
-        return Quadratic(energy, gradient, diagonal, upper)
+        return self._diagonal[rows], self._upper[rows]
 
-    def _hold_fixed(self, gradient: Array, diagonal: Array, upper: Array) -> None:
-        """A state known without error does not move: zero gradient, unit curvature."""
-        steps = np.flatnonzero(~self.free.all(axis=1))
-        for k in steps:
+    def hold_fixed(self, diagonal: Array, upper: Array) -> None:
+        """A state known without error does not move: unit curvature, no link to others."""
+        for k in np.flatnonzero(~self.free.all(axis=1)):
             held = np.flatnonzero(~self.free[k])
-            gradient[:, k, held] = 0
             diagonal[:, k, held, :] = 0
             diagonal[:, k, :, held] = 0
             diagonal[:, k, held, held] = 1
@@ -158,27 +243,11 @@ class Assembly:
             if k > 0:
                 upper[:, k - 1, :, held] = 0
 
-    def _times(self, d: Array, which: Index) -> Array:
-        """Constant Hessian times d, shape (..., S, D)."""
-        rows = self._row[which] if len(self._diagonal) > 1 else 0
-        diagonal, upper = self._diagonal[rows], self._upper[rows]
-        out = np.matmul(diagonal, d[..., None])[..., 0]
-        out[..., :-1, :] += np.matmul(upper, d[..., 1:, :, None])[..., 0]
-        out[..., 1:, :] += np.matmul(np.swapaxes(upper, -1, -2), d[..., :-1, :, None])[..., 0]
-        return np.asarray(out)
-
-    def _add_linear(self, i: int, model: Model, term: Term) -> None:
-        """Add a linear term's gradient at the reference, and its constant Hessian."""
-        wired = _wire(term, model.columns)
-        part = term.residual.gauss_newton(*wired.variables(model.reference))
-        self._constant[i] += float(part.energy.sum())
-        row = self._row[i]
-        if i == 0 or row > 0:
-            _scatter(wired, part, self._gradient[i], self._diagonal[row], self._upper[row])
-        else:
-            for offset, columns, rows in wired.runs:
-                steps = slice(wired.first.start + offset, wired.first.stop + offset)
-                self._gradient[i, steps, columns] += part.gradient[..., rows]
+    def _potentials(self, X: Array) -> Array:
+        total = np.zeros(X.shape[:-2])
+        for wired in self.nonlinear:
+            total += wired.residual.energy(*wired.variables(X)).sum(-1)
+        return total
 
 
 def _same_curvature(a: Model, b: Model) -> bool:
@@ -189,94 +258,91 @@ def _same_curvature(a: Model, b: Model) -> bool:
     )
 
 
-def _wire(term: Term, columns: dict[str, slice]) -> _Wired:
-    first = slice(term.steps.start, term.steps.stop)
-    slots, column, offset_of = [], [], []
-    for name, offset in term.variables:
-        slots.append((slice(first.start + offset, first.stop + offset), columns[name]))
-        size = columns[name].stop - columns[name].start
-        column.append(np.arange(columns[name].start, columns[name].stop))
-        offset_of.append(np.full(size, offset))
-    support = term.residual.support
-    places = np.concatenate(column)[support]
-    offsets = np.concatenate(offset_of)[support]
-    breaks = np.flatnonzero((np.diff(places) != 1) | (np.diff(offsets) != 0)) + 1
-    edges = [0, *breaks.tolist(), len(places)]
-    runs = tuple(
-        (int(offsets[a]), slice(int(places[a]), int(places[b - 1]) + 1), slice(a, b))
-        for a, b in pairwise(edges)
-    )
-    return _Wired(term.residual, tuple(slots), first, runs)
-
-
-def _scatter(
-    wired: _Wired, part: Expansion, gradient: Array, diagonal: Array, upper: Array
-) -> None:
-    """Add an expansion (..., steps, s) into the chain (..., S, D)."""
-    start, stop = wired.first.start, wired.first.stop
-    for at_row, into_rows, rows in wired.runs:
-        gradient[..., start + at_row : stop + at_row, into_rows] += part.gradient[..., rows]
-        for at_column, into_columns, cols in wired.runs:
-            block = part.hessian[..., rows, cols]
-            if at_row == at_column:
-                steps = slice(start + at_row, stop + at_row)
-                diagonal[..., steps, into_rows, into_columns] += block
-            elif at_row < at_column:
-                steps = slice(start + at_row, stop + at_row)
-                upper[..., steps, into_rows, into_columns] += block
-
-
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...sd,...sd->...", a, b))
 
 
-class _ExtraFactor:
-    """A user's GTSAM factor, through its own error and linearization."""
+def _wire(term: Term, columns: dict[str, slice]) -> _Wired:
+    first = slice(term.steps.start, term.steps.stop)
+    slots = tuple(
+        (slice(first.start + offset, first.stop + offset), columns[name])
+        for name, offset in term.variables
+    )
+    places = [(offset, columns[name]) for name, offset in term.variables]
+    return _Wired(term.residual, slots, first, _runs(places, term.residual.support))
 
-    def __init__(self, factor: gtsam.NonlinearFactor, model: Model) -> None:
-        self._factor = factor
-        place = {key: (k, model.columns[name]) for (name, k), key in model.keys.items()}
-        unknown = [key for key in factor.keys() if key not in place]
-        if unknown:
-            raise ValueError(
-                f"a factor of yours is on {[keys.name(k) for k in unknown]}, which this density "
-                f"does not have; its variables are {[v.name for v in model.variables]}, "
-                f"steps 0..{len(model.times) - 1}"
-            )
-        self._place = {key: place[key] for key in factor.keys()}
-        steps = [k for k, _ in self._place.values()]
-        if max(steps) - min(steps) > 1:
-            raise NotAChain(f"a factor of yours connects the steps {sorted(set(steps))}")
 
-    def _values(self, X: Array) -> gtsam.Values:
-        values = gtsam.Values()
-        for key, (k, columns) in self._place.items():
-            values.insert(key, X[k, columns])
-        return values
+def _runs(
+    places: Sequence[tuple[int, slice]], support: Index
+) -> tuple[tuple[int, slice, slice], ...]:
+    """Contiguous runs of the support of variables at (offset in time, slice of the state)."""
+    column = np.concatenate([np.arange(c.start, c.stop) for _, c in places])[support]
+    offset = np.concatenate([np.full(c.stop - c.start, o) for o, c in places])[support]
+    breaks = np.flatnonzero((np.diff(column) != 1) | (np.diff(offset) != 0)) + 1
+    return tuple(
+        (int(offset[a]), slice(int(column[a]), int(column[b - 1]) + 1), slice(a, b))
+        for a, b in pairwise([0, *breaks.tolist(), len(column)])
+    )
 
-    def energy(self, X: Array) -> Array:
-        """Energies of states (..., S, D)."""
-        flat = X.reshape(-1, *X.shape[-2:])
-        each = [self._factor.error(self._values(x)) for x in flat]
-        return np.asarray(each).reshape(X.shape[:-2])
 
-    def add(self, X: Array, gradient: Array, diagonal: Array, upper: Array) -> float:
-        """Add the linearization at one state (S, D); the energy is returned."""
-        values = self._values(X)
+class _UserFactor(Residual):
+    """A user's GTSAM factor as a residual, through its own error and linearization."""
+
+    def __init__(self, factor: gtsam.NonlinearFactor, dims: tuple[int, ...]) -> None:
+        self._factor, self._dims = factor, dims
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        return self._dims
+
+    @property
+    def rows(self) -> int:
+        return int(self._factor.dim())
+
+    def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
+        raise TypeError("a GTSAM factor gives its information matrix, not its Jacobians")
+
+    def _each(self, x: tuple[Array, ...]) -> Iterator[gtsam.Values]:
+        for point in zip(*(xi.reshape(-1, xi.shape[-1]) for xi in x), strict=True):
+            values = gtsam.Values()
+            for key, part in zip(self._factor.keys(), point, strict=True):
+                values.insert(key, part)
+            yield values
+
+    def energy(self, *x: Array) -> Array:
+        each = [self._factor.error(values) for values in self._each(x)]
+        return np.array(each, dtype=float).reshape(x[0].shape[:-1])
+
+    def gauss_newton(self, *x: Array) -> Expansion:
+        size = sum(self._dims)
+        batch = x[0].shape[:-1]
+        augmented = np.array([self._information(values) for values in self._each(x)])
+        augmented = augmented.reshape(*batch, size + 1, size + 1)
+        return Expansion(
+            self.energy(*x), -augmented[..., :size, size], augmented[..., :size, :size]
+        )
+
+    def _information(self, values: gtsam.Values) -> Array:
         linear = self._factor.linearize(values)
-        if linear is not None:  # None: the factor is not active here
-            augmented = linear.augmentedInformation()
-            ends, edges = 0, []
-            for key in linear.keys():
-                k, columns = self._place[key]
-                size = columns.stop - columns.start
-                edges.append((k, columns, slice(ends, ends + size)))
-                ends += size
-            for k, columns, rows in edges:
-                gradient[k, columns] -= augmented[rows, -1]
-                for j, others, cols in edges:
-                    if j == k:
-                        diagonal[k, columns, others] += augmented[rows, cols]
-                    elif j == k + 1:
-                        upper[k, columns, others] += augmented[rows, cols]
-        return float(self._factor.error(values))
+        if linear is None:  # the factor is not active here
+            return np.zeros((sum(self._dims) + 1,) * 2)
+        return np.asarray(linear.augmentedInformation())
+
+
+def _wire_user(factor: gtsam.NonlinearFactor, model: Model) -> _Wired:
+    place = {key: (k, model.columns[name]) for (name, k), key in model.keys.items()}
+    unknown = [keys.name(key) for key in factor.keys() if key not in place]
+    if unknown:
+        raise ValueError(
+            f"a factor of yours is on {unknown}, which this density does not have; its variables "
+            f"are {[v.name for v in model.variables]}, steps 0..{len(model.times) - 1}"
+        )
+    places = [place[key] for key in factor.keys()]
+    steps = [k for k, _ in places]
+    start = min(steps)
+    if max(steps) - start > 1:
+        raise NotAChain(f"a factor of yours connects the steps {sorted(set(steps))}")
+    slots = tuple((slice(k, k + 1), columns) for k, columns in places)
+    dims = tuple(columns.stop - columns.start for _, columns in places)
+    runs = _runs([(k - start, c) for k, c in places], np.arange(sum(dims)))
+    return _Wired(_UserFactor(factor, dims), slots, slice(start, start + 1), runs)

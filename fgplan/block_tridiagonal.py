@@ -65,11 +65,11 @@ class _Blocks:
         y: list[Array] = []
         for k, L in enumerate(self._factors):
             b = rhs[k] - self._links[k - 1].T @ y[k - 1] if k else rhs[k]
-            y.append(lapack.dtrtrs(L, b, lower=1)[0])
+            y.append(blas.dtrsv(L, b, lower=1))
         x = np.empty_like(rhs)
         for k in range(len(y) - 1, -1, -1):
             b = y[k] - self._links[k] @ x[k + 1] if k + 1 < len(y) else y[k]
-            x[k] = lapack.dtrtrs(self._factors[k], b, lower=1, trans=1)[0]
+            x[k] = blas.dtrsv(self._factors[k], b, lower=1, trans=1)
         return x
 
     @property
@@ -79,17 +79,21 @@ class _Blocks:
 
 def _factorize_blocks(diagonal: Array, upper: Array) -> Factor | None:
     factors, links = [], []
-    S = diagonal[0].T  # symmetric: the transpose is Fortran-contiguous, LAPACK need not copy twice
-    for k in range(len(diagonal)):
+    # A symmetric block in C order is, transposed, the same block in Fortran order, as LAPACK
+    # wants it.
+    blocks = np.swapaxes(diagonal, -1, -2)
+    S = blocks[0]
+    for k in range(len(blocks)):
         L, info = lapack.dpotrf(S, lower=1, clean=0)
         if info != 0:
             return None
         factors.append(L)
-        if k + 1 < len(diagonal):
+        if k + 1 < len(blocks):
             C = blas.dtrsm(1.0, L, upper[k], lower=1)
             links.append(C)
-            S = blas.dsyrk(-1.0, C, beta=1.0, c=diagonal[k + 1].T, trans=1, lower=1)
-    return _Blocks(factors, links)
+            S = blas.dsyrk(-1.0, C, beta=1.0, c=blocks[k + 1], trans=1, lower=1)
+    # A NaN raises no flag in LAPACK, but it spreads down the chain to the last block.
+    return _Blocks(factors, links) if np.isfinite(np.diagonal(factors[-1]).sum()) else None
 
 
 def _factorize_band(diagonal: Array, upper: Array) -> Factor | None:
@@ -99,7 +103,7 @@ def _factorize_band(diagonal: Array, upper: Array) -> Factor | None:
     band[into_diagonal] = diagonal.reshape(-1)[from_diagonal]
     band[into_upper] = upper.reshape(-1)[from_upper]
     factor, info = lapack.dpbtrf(band.reshape(2 * D, S * D, order="F"), lower=1)
-    return _Band(factor) if info == 0 else None
+    return _Band(factor) if info == 0 and np.isfinite(factor[0].sum()) else None
 
 
 @lru_cache(maxsize=64)

@@ -6,7 +6,6 @@ optimum at best.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -15,7 +14,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.assembly import Assembly
+from fgplan.assembly import Assembly, Quadratic
 from fgplan.block_tridiagonal import Factor, factorize
 
 Array = NDArray[np.float64]
@@ -103,21 +102,23 @@ class SecondOrder:
             if not len(active):
                 break
             newton = iteration >= self.warmup
-            step, promised, minimum = _directions(assembly, X[active], which[active], newton)
+            way = _directions(assembly, X[active], which[active], newton)
+            length, reached = _line_search(assembly, X[active], way, which[active])
             iterations[active] += 1
-            decrement[active] = promised
-            length, reached = _line_search(assembly, X[active], step, which[active], energy[active])
-            X[active] += length[:, None, None] * step
+            decrement[active] = way.promised
+            moved = length > 0
+            X[active[moved]] += length[moved, None, None] * way.step[moved]
             energy[active] = reached
             still = []
-            for b, moved, gain, curved in zip(active, length > 0, promised, minimum, strict=True):
+            for b, went, gain, curved in zip(active, moved, way.promised, way.minimum, strict=True):
                 if newton and gain < self.tolerance:
                     stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
-                elif newton and not moved:
+                elif newton and not went:
                     stop[b] = Stop.CONVERGED if curved and gain < 1e-6 else Stop.NO_DESCENT
                 else:
                     still.append(b)
             active = np.array(still, dtype=np.intp)
+        energy = assembly.energy(X, which)
         return tuple(
             Solution(X[b], float(energy[b]), int(iterations[b]), stop[b], float(decrement[b]))
             for b in range(B)
@@ -157,7 +158,8 @@ class GtsamLM:
         # LM returns the initial guess, without raising, when the error is NaN.
         if not np.all(np.isfinite(end)):
             return Solution(state, np.inf, optimizer.iterations(), Stop.NOT_FINITE, np.inf)
-        promised, minimum = _promise(assembly, end, i)
+        way = _directions(assembly, end[None], np.array([i]), newton=True)
+        promised, minimum = float(way.promised[0]), bool(way.minimum[0])
         if optimizer.iterations() >= self.max_iterations:
             stop = Stop.ITERATIONS
         elif not minimum:
@@ -171,80 +173,93 @@ class GtsamLM:
 def factor_hessian(assembly: Assembly, state: Array, which: int) -> Factor | None:
     """Cholesky factor of the true Hessian at one state; None where it is not positive definite."""
     q = assembly.expand(state[None], np.array([which]))
-    return factorize(q.diagonal[0], q.upper[0])
+    diagonal, upper = q.hessian(np.zeros(1, dtype=np.intp))
+    return factorize(diagonal[0], upper[0])
 
 
-def _promise(assembly: Assembly, state: Array, which: int) -> tuple[float, bool]:
-    """What a Newton step from a state promises [nats], and whether the Hessian is positive."""
-    step, promised, minimum = _directions(assembly, state[None], np.array([which]), newton=True)
-    del step
-    return float(promised[0]), bool(minimum[0])
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Where to go from B states: steps (B, S, D), what they promise (B,) [nats], whether the true
+    Hessian is positive definite (B,), and the expansion they come from."""
+
+    step: Array
+    promised: Array
+    minimum: NDArray[np.bool_]
+    expansion: Quadratic
 
 
-def _directions(
-    assembly: Assembly, X: Array, which: Index, newton: bool
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Descent directions (B, S, D), what they promise (B,) [nats], and where the true Hessian is
-    positive definite (B,)."""
+def _directions(assembly: Assembly, X: Array, which: Index, newton: bool) -> _Directions:
     q = assembly.expand(X, which) if newton else assembly.gauss_newton(X, which)
     step, promised = np.zeros_like(X), np.full(len(X), np.inf)
-    minimum = np.zeros(len(X), dtype=bool)
     indefinite = []
-    for b in range(len(X)):
-        factor = factorize(q.diagonal[b], q.upper[b])
-        if factor is None:
-            indefinite.append(b)
-            continue
-        minimum[b] = True
+
+    def follow(b: int, factor: Factor) -> None:
         step[b] = factor.solve(-q.gradient[b])
         promised[b] = -0.5 * float(np.vdot(q.gradient[b], step[b]))
-    if indefinite:
-        damping = assembly.gauss_newton(X[indefinite], which[indefinite])
-        for row, b in enumerate(indefinite):
-            damp = (damping.diagonal[row], damping.upper[row])
-            factor = _damped((q.diagonal[b], q.upper[b]), damp)
-            if factor is not None:
-                step[b] = factor.solve(-q.gradient[b])
-                promised[b] = -0.5 * float(np.vdot(q.gradient[b], step[b]))
-    return step, promised, minimum
 
-
-def _damped(true: tuple[Array, Array], damping: tuple[Array, Array]) -> Factor | None:
-    """Factor of (H + λ H_GN)/(1 + λ) for the first λ of 1/4, 1, 4, infinity that allows it."""
-    for share in (0.2, 0.5, 0.8, 1.0):
-        diagonal, upper = ((1 - share) * a + share * b for a, b in zip(true, damping, strict=True))
+    for b, diagonal, upper in q.hessians(np.arange(len(X))):
         factor = factorize(diagonal, upper)
+        if factor is None:
+            indefinite.append(b)
+        else:
+            follow(b, factor)
+    if indefinite:
+        rows = np.array(indefinite)
+        damping = assembly.gauss_newton(X[rows], which[rows])
+        for (b, *true), (_, *damp) in zip(
+            q.hessians(rows), damping.hessians(np.arange(len(rows))), strict=True
+        ):
+            factor = _damped(true, damp)
+            if factor is not None:
+                follow(b, factor)
+    minimum = np.ones(len(X), dtype=bool)
+    minimum[indefinite] = False
+    return _Directions(step, promised, minimum, q)
+
+
+def _damped(true: list[Array], damping: list[Array]) -> Factor | None:
+    """Factor of (H + λ H_GN)/(1 + λ) for the first λ of 1 and infinity that allows it."""
+    for share in (0.5, 1.0):
+        with np.errstate(invalid="ignore"):  # a user's factor may hold inf; no factor then
+            mixed = [(1 - share) * a + share * b for a, b in zip(true, damping, strict=True)]
+        factor = factorize(*mixed)
         if factor is not None:
             return factor
     return None
 
 
+FULL_STEP = 0.5
+"""A full step is taken when it brings this share of what it promised."""
 LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0)
 SHORT_LENGTHS = (2.0**-12, 2.0**-8, 2.0**-6, 2.0**-4)
 
 
 def _line_search(
-    assembly: Assembly, X: Array, step: Array, which: Index, energy: Array
+    assembly: Assembly, X: Array, way: _Directions, which: Index
 ) -> tuple[Array, Array]:
-    """Best of a few step lengths for each start (B,), 0 where none lowers the energy (B,)."""
-    length, reached = np.zeros(len(X)), energy.copy()
-    search = np.arange(len(X))
+    """Length of the step for each start (B,), 0 where none lowers the energy, and that energy.
+
+    The full step when it is good; else the best of a few lengths; else of a few short ones.
+    """
+    energy = way.expansion.energy
+    energies = assembly.along(way.expansion, X, way.step, which)
+    length, reached = np.ones(len(X)), _finite(energies(np.ones((1, len(X)))))[0]
+    wanted = energy - FULL_STEP * np.maximum(way.promised, 0.0)
     for lengths in (LENGTHS, SHORT_LENGTHS):
-        s = np.array(lengths)
-        trial = X[search] + s[:, None, None, None] * step[search]
-        tried = assembly.energy(trial, which[search])
-        tried = np.where(np.isfinite(tried), tried, np.inf)
-        best = np.argmin(tried, axis=0)
-        lowest = tried[best, np.arange(len(search))]
-        better = lowest < energy[search]
-        length[search[better]] = s[best[better]]
-        reached[search[better]] = lowest[better]
-        search = search[~better]
-        if not len(search):
+        if np.all(reached <= wanted):
             break
-    return length, reached
+        s = np.broadcast_to(np.array(lengths)[:, None], (len(lengths), len(X)))
+        tried = _finite(energies(s))
+        best = tried.argmin(axis=0)
+        lowest = np.take_along_axis(tried, best[None], axis=0)[0]
+        better = (reached > wanted) & (lowest < reached)
+        length = np.where(better, np.array(lengths)[best], length)
+        reached = np.where(better, lowest, reached)
+        # A longer search is only for those that still go up.
+        wanted = np.where(reached < energy, np.inf, -np.inf)
+    descends = reached < energy
+    return np.where(descends, length, 0.0), np.where(descends, reached, energy)
 
 
-def stack(starts: Sequence[Array]) -> Array:
-    """Starts of one size as one array (B, S, D)."""
-    return np.stack(list(starts))
+def _finite(energy: Array) -> Array:
+    return np.where(np.isfinite(energy), energy, np.inf)

@@ -64,16 +64,18 @@ def test_11_robot_crowd_covariance_vanishes_only_without_interaction(alpha, zero
 
 @pytest.mark.parametrize(("d", "psi"), [(0, 0.01), (1, 0.399535), (2, 0.866018), (3, 0.989002)])
 def test_12_interaction_values(d, psi):
-    delta = np.array([[d * 0.6, d * 0.8]])
-    assert np.exp(-Interaction(0.99, 1.0).energy(delta))[0] == pytest.approx(psi, abs=5e-7)
+    pair = PredictedPairs(Interaction(0.99, 1.0), np.zeros((1, 2)))
+    robot = np.array([d * 0.6, d * 0.8, 0.0, 0.0])
+    assert np.exp(-pair.energy(robot)) == pytest.approx(psi, abs=5e-7)
 
 
 def test_12_certain_avoidance_is_impossible_contact():
-    potential = Interaction(1.0, 1.0)
-    contact = np.zeros((1, 2))
-    assert potential.energy(contact)[0] == np.inf
-    assert not np.isnan(np.concatenate([np.ravel(a) for a in potential.linearize(contact)])).any()
-    assert not np.isnan(np.concatenate([np.ravel(a) for a in potential.expand(contact)])).any()
+    pair = PredictedPairs(Interaction(1.0, 1.0), np.zeros((1, 2)))
+    contact = np.zeros(4)
+    assert pair.energy(contact) == np.inf
+    e, (J,) = pair.linearize(contact)
+    assert not np.isnan(np.concatenate([e, J.ravel()])).any()
+    assert not np.isnan(np.concatenate([np.ravel(a) for a in pair.expand(contact)])).any()
 
 
 def person_at_the_mean(alpha=0.99):

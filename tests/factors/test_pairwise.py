@@ -84,21 +84,23 @@ def test_mirrored_bodies_have_mirrored_gradients():
 @pytest.mark.parametrize("potential", [Interaction(1.0, 0.5), Interaction(0.99), Contact(0.6, 0.1)])
 @pytest.mark.parametrize("d", [0.0, 1e-9, 1e3, 1e6])
 def test_coincident_and_distant_bodies_give_numbers(potential, d):
-    delta = np.array([[d, 0.0]])
-    e, slope = potential.linearize(delta)
-    energy, gradient, hessian = potential.expand(delta)
-    assert not np.isnan(np.concatenate([e, slope.ravel(), energy, gradient.ravel()])).any()
+    people = np.zeros((1, 2))
+    pairs = PredictedPairs(potential, people)
+    robot = np.array([d, 0.0, 0.0, 0.0])
+    e, (J,) = pairs.linearize(robot)
+    energy, gradient, hessian = pairs.expand(robot)
+    assert not np.isnan(np.concatenate([e, J.ravel(), [energy], gradient.ravel()])).any()
     assert not np.isnan(hessian).any()
     if d >= 1e3:
-        assert energy[0] == 0
-        assert np.all(slope == 0)
+        assert energy == 0
+        assert np.all(J == 0)
 
 
 def test_contact_stops_at_its_reach():
     contact = Contact(np.array([0.8]), 0.1)
-    assert contact.energy(np.array([[0.8, 0.0]]))[0] == pytest.approx(0, abs=1e-9)
-    assert contact.energy(np.array([[0.7, 0.0]]))[0] == pytest.approx(0.5, rel=1e-4)
-    assert contact.energy(np.array([[0.9, 0.0]]))[0] == 0
+    assert contact.energy(np.array([0.8**2]))[0] == pytest.approx(0, abs=1e-9)
+    assert contact.energy(np.array([0.7**2]))[0] == pytest.approx(0.5, rel=1e-4)
+    assert contact.energy(np.array([0.9**2]))[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -193,7 +193,7 @@ def test_the_energy_never_rises(seed):
     for limit in range(1, 16):
         found = SecondOrder(max_iterations=limit).solve(assembly, X, which)
         energy = np.array([s.energy for s in found])
-        assert np.all(energy <= before)
+        assert np.all(energy <= before + 1e-9)  # rounding of sums of terms of the order 1e4
         states = np.stack([s.state for s in found])
         np.testing.assert_allclose(assembly.energy(states, which), energy, rtol=1e-12)
         before = energy
