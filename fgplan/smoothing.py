@@ -22,6 +22,9 @@ PROBES = 10
 LEVELS = ((8.0, 30), (4.0, 20), (2.0, 10))
 """Spacing of a band's points [cells] and sweeps over them, coarse to fine."""
 
+SLACK = 0.05
+"""By how much the bound of a clearance [cells] may miss the radius only because it is a bound."""
+
 COMFORT_GAIN = 0.1
 """Share of a missing comfort that one sweep makes up for."""
 
@@ -60,7 +63,7 @@ def _farthest(road: Roadmap, path: Array, wound: NDArray[np.intp], here: int, se
             break
         targets = np.unique(np.linspace(best + 1, beyond - 1, PROBES).astype(int))
         ends = path[targets]
-        turns = road.crossings(np.broadcast_to(path[here], ends.shape), ends)
+        turns = road.crossings(path[here : here + 1], ends)
         same = np.all(turns == wound[targets] - wound[here], axis=1)
         seen = np.flatnonzero(same & sees(path[here], ends))
         if len(seen):
@@ -135,14 +138,17 @@ def _relaxed(road: Roadmap, bands: list[Array], anchors: list[Array], sweeps: in
 def _checked(road: Roadmap, bands: list[Array], anchors: list[Array]) -> list[Array]:
     """The bands, with the anchor's points back where a segment keeps less than the radius (or,
     on the way out of an obstacle's neighbourhood, less than the anchor)."""
-    floor = [np.minimum(road.rho, kept) for kept in road.clearance(anchors)]
+    floor = [np.where(kept > road.rho - SLACK, road.rho, kept) for kept in road.clearance(anchors)]
+    given = [np.zeros(len(anchor), dtype=bool) for anchor in anchors]
     while True:
-        back = False
+        changed = False
         for number, kept in enumerate(road.clearance(bands)):
-            low = np.flatnonzero(kept < floor[number] - 1e-12)
-            if len(low):
-                back = True
-                points = np.unique(np.clip(low[:, None] + np.arange(-1, 3), 0, len(kept)))
-                bands[number][points] = anchors[number][points]
-        if not back:
+            low = np.flatnonzero(kept < floor[number])
+            back = np.zeros_like(given[number])
+            back[np.clip(low[:, None] + np.arange(-1, 3), 0, len(kept))] = True
+            if np.any(back & ~given[number]):
+                changed = True
+                given[number] |= back
+                bands[number] = np.where(given[number][:, None], anchors[number], bands[number])
+        if not changed:
             return bands
