@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 OBSTACLE_SPACING = 0.25
 """Largest distance between two obstacle checks at full speed [m]."""
+LIMIT_SHARE = 0.95
+"""Share of a limit at which its hinge begins: an optimum leans on a hinge, the check does not."""
 
 
 @dataclass(frozen=True)
@@ -263,9 +265,11 @@ def _limits(scenario: Scenario) -> Iterable[Term]:
     d, robot = scenario.density, scenario.robot
     if not np.isfinite(d.limit_sigma):
         return
-    speed = SpeedLimit(robot.max_speed, d.limit_sigma, weight=d.exponent)
+    speed = SpeedLimit(LIMIT_SHARE * robot.max_speed, d.limit_sigma, weight=d.exponent)
     yield Term("speed limit", speed, (("robot", 0),), range(1, d.steps + 1))
-    acceleration = AccelerationLimit(robot.max_acceleration, d.limit_sigma, d.dt, weight=d.exponent)
+    acceleration = AccelerationLimit(
+        LIMIT_SHARE * robot.max_acceleration, d.limit_sigma, d.dt, weight=d.exponent
+    )
     yield Term("acceleration limit", acceleration, (("robot", 0), ("robot", 1)), range(d.steps))
 
 

@@ -152,7 +152,7 @@ class Density:
     contact_margin: float = 0.2
     obstacle_sigma: float = 0.1
     obstacle_margin: float = 0.1
-    limit_sigma: float = 0.1
+    limit_sigma: float = 0.05
     beta: float = 0.7
 
     @property
@@ -211,9 +211,8 @@ class Scenario:
         """Read a scenario file (TOML).
 
         Raises:
-            ScenarioError: the file is missing, is not TOML, or says something that cannot be
-                planned; all mistakes are reported at once.
-            MapError: its map cannot be read.
+            ScenarioError: the file is missing, is not TOML, its map cannot be read, or it says
+                something that cannot be planned; all mistakes are reported at once.
         """
         from fgplan.scenario_file import load  # pydantic only when a file is read
 
