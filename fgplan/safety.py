@@ -101,10 +101,12 @@ def brake(scenario: Scenario, people: People) -> tuple[Trajectory, Check]:
 
 
 def _first_contact(t: Array, gap: Array) -> float:
-    """First time at which a gap is negative and smaller than it was at the start; gap (Q, m)."""
+    """First time at which a gap is negative and smaller than it was at the start, or negative
+    again after it was not; gap (Q, m)."""
     if gap.shape[1] == 0:
         return np.inf
-    allowed = np.minimum(gap[0], 0.0) - TOLERANCE
+    left = np.logical_or.accumulate(gap >= 0, axis=0)
+    allowed = np.where(left, 0.0, np.minimum(gap[0], 0.0)) - TOLERANCE
     touching = np.any(gap < allowed, axis=1)
     return float(t[np.argmax(touching)]) if touching.any() else np.inf
 
@@ -112,10 +114,11 @@ def _first_contact(t: Array, gap: Array) -> float:
 def _beyond_limits(robot: Robot, trajectory: Trajectory) -> list[str]:
     problems = []
     speed = np.linalg.norm(trajectory.velocities, axis=1)
-    # A robot that is too fast now may slow down; it must not go on, or get faster still.
-    limit = max(robot.max_speed, float(speed[0]))
-    if speed.max() > limit + TOLERANCE:
-        problems.append(f"speed {speed.max():.2f} m/s above {limit:.2f} m/s")
+    # A robot that is too fast now may slow down; it must not get faster again.
+    limit = np.maximum(robot.max_speed, np.minimum.accumulate(speed))
+    worst = int(np.argmax(speed - limit))
+    if speed[worst] > limit[worst] + TOLERANCE:
+        problems.append(f"speed {speed[worst]:.2f} m/s above {limit[worst]:.2f} m/s")
     if len(trajectory.times) > 1:
         change = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
         acceleration = np.linalg.norm(change, axis=1).max()
