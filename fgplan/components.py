@@ -15,7 +15,7 @@ from fgplan.mixture import Component
 from fgplan.model import Model
 from fgplan.safety import Check, People, check
 from fgplan.scenario import Scenario
-from fgplan.solver import Solution
+from fgplan.solver import Solution, Stop
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -67,7 +67,8 @@ def component_of(
     solving: Solving, hypothesis: Hypothesis, own: list[tuple[str, Solution]], seconds: float
 ) -> Solved:
     """The best feasible optimum of one hypothesis (the best one, if none is feasible)."""
-    optima = _distinct(sorted(own, key=lambda labelled: labelled[1].energy))
+    ended = [labelled for labelled in own if labelled[1].stop is not Stop.MERGED]
+    optima = _distinct(sorted(ended, key=lambda labelled: labelled[1].energy))
     label, solution, result = _first_feasible(solving, optima)
     scenario, model = solving.scenario, solving.model
     robot = solving.trajectory(solution, "robot")

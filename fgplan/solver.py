@@ -29,6 +29,7 @@ class Stop(Enum):
     ITERATIONS = "iteration limit"
     NOT_FINITE = "the energy is not finite at the start"
     SADDLE = "stationary, but not a minimum"
+    MERGED = "met another start on its way"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +118,36 @@ class SecondOrder:
                     stop[b] = Stop.CONVERGED if curved and gain < 1e-6 else Stop.NO_DESCENT
                 else:
                     still.append(b)
+            if newton:
+                for b in _met(X, energy, which, still, stop):
+                    stop[b] = Stop.MERGED
+                    still.remove(b)
             active = np.array(still, dtype=np.intp)
         energy = assembly.energy(X, which)
         return tuple(
             Solution(X[b], float(energy[b]), int(iterations[b]), stop[b], float(decrement[b]))
             for b in range(B)
         )
+
+
+MEETING = 0.05
+"""Two starts this close in every coordinate [m, m/s] and in energy [nats] go to one optimum."""
+
+
+def _met(X: Array, energy: Array, which: Index, active: list[int], stop: list[Stop]) -> list[int]:
+    """Those of the active starts that are where a better start of their hypothesis is, or ended:
+    time is for new optima."""
+    others = active + [b for b, s in enumerate(stop) if s is Stop.CONVERGED]
+    found = []
+    for b in active:
+        for a in others:
+            if a == b or which[a] != which[b] or abs(energy[a] - energy[b]) > MEETING:
+                continue
+            ahead = stop[a] is Stop.CONVERGED or (energy[a], a) < (energy[b], b)
+            if ahead and a not in found and np.abs(X[a] - X[b]).max() < MEETING:
+                found.append(b)
+                break
+    return found
 
 
 @dataclass(frozen=True)
