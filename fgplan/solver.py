@@ -82,11 +82,14 @@ class SecondOrder:
         warmup: Gauss–Newton steps before the true Hessian.
         max_iterations: Linear systems a start may solve.
         tolerance: Stop when a Newton step promises less than this [nats].
+        meeting: Two starts of a hypothesis this close in every coordinate [m, m/s] and in energy
+            [nats] go to one optimum: the worse one is not followed further. 0 follows all.
     """
 
     warmup: int = 3
     max_iterations: int = 100
     tolerance: float = 1e-9
+    meeting: float = 0.05
 
     def solve(self, assembly: Assembly, initial: Array, which: Index) -> tuple[Solution, ...]:
         X = np.array(initial, dtype=float)
@@ -110,8 +113,10 @@ class SecondOrder:
             moved = length > 0
             X[active[moved]] += length[moved, None, None] * way.step[moved]
             energy[active] = reached
-            still = []
-            for b, went, gain, curved in zip(active, moved, way.promised, way.minimum, strict=True):
+            still: list[int] = []
+            for b, went, gain, curved in zip(
+                active.tolist(), moved, way.promised, way.minimum, strict=True
+            ):
                 if newton and gain < self.tolerance:
                     stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
                 elif newton and not went:
@@ -119,7 +124,7 @@ class SecondOrder:
                 else:
                     still.append(b)
             if newton:
-                for b in _met(X, energy, which, still, stop):
+                for b in self._met(X, energy, which, still, stop):
                     stop[b] = Stop.MERGED
                     still.remove(b)
             active = np.array(still, dtype=np.intp)
@@ -129,25 +134,22 @@ class SecondOrder:
             for b in range(B)
         )
 
-
-MEETING = 0.05
-"""Two starts this close in every coordinate [m, m/s] and in energy [nats] go to one optimum."""
-
-
-def _met(X: Array, energy: Array, which: Index, active: list[int], stop: list[Stop]) -> list[int]:
-    """Those of the active starts that are where a better start of their hypothesis is, or ended:
-    time is for new optima."""
-    others = active + [b for b, s in enumerate(stop) if s is Stop.CONVERGED]
-    found = []
-    for b in active:
-        for a in others:
-            if a == b or which[a] != which[b] or abs(energy[a] - energy[b]) > MEETING:
-                continue
-            ahead = stop[a] is Stop.CONVERGED or (energy[a], a) < (energy[b], b)
-            if ahead and a not in found and np.abs(X[a] - X[b]).max() < MEETING:
-                found.append(b)
-                break
-    return found
+    def _met(
+        self, X: Array, energy: Array, which: Index, active: list[int], stop: list[Stop]
+    ) -> list[int]:
+        """Active starts that are where a better start of their hypothesis is, or has ended: time
+        is for new optima."""
+        others = active + [b for b, s in enumerate(stop) if s is Stop.CONVERGED]
+        found: list[int] = []
+        for b in active:
+            for a in others:
+                if a == b or which[a] != which[b] or abs(energy[a] - energy[b]) >= self.meeting:
+                    continue
+                ahead = stop[a] is Stop.CONVERGED or (energy[a], a) < (energy[b], b)
+                if ahead and a not in found and np.abs(X[a] - X[b]).max() < self.meeting:
+                    found.append(b)
+                    break
+        return found
 
 
 @dataclass(frozen=True)
