@@ -100,7 +100,7 @@ class SecondOrder:
         decrement = np.full(B, np.inf)
         energy = assembly.energy(X, which)
         active = np.flatnonzero(np.isfinite(energy))
-        for b in np.flatnonzero(~np.isfinite(energy)):
+        for b in np.flatnonzero(~np.isfinite(energy)).tolist():
             stop[b] = Stop.NOT_FINITE
         for iteration in range(self.max_iterations):
             if not len(active):
