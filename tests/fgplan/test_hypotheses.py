@@ -118,6 +118,6 @@ def test_no_goal_among_people_still_avoids_them():
 
 
 def test_an_unreachable_goal_is_no_hypothesis():
+    scenario = forked(grid=blocks(), goal=np.array([4.0, 0.0]), count=1, plans=())
     with pytest.raises(NoRoute):
-        scenario = forked(grid=blocks(), goal=np.array([4.0, 0.0]), count=1, plans=())
         hypothesise(scenario, believed(scenario))
