@@ -15,6 +15,7 @@ from fgplan.mixture import Component
 from fgplan.model import Model
 from fgplan.safety import Check, People, check
 from fgplan.scenario import Scenario
+from fgplan.search import Found
 from fgplan.solver import Solution, Stop
 from fgplan.trajectory import Trajectory
 
@@ -44,6 +45,7 @@ class Solving:
     belief: Belief
     assembly: Assembly
     which: int
+    finished: bool
 
     @property
     def model(self) -> Model:
@@ -64,12 +66,13 @@ class Solving:
 
 
 def component_of(
-    solving: Solving, hypothesis: Hypothesis, own: list[tuple[str, Solution]], seconds: float
+    solving: Solving, hypothesis: Hypothesis, own: list[Found], seconds: float
 ) -> Solved:
     """The best feasible optimum of one hypothesis (the best one, if none is feasible)."""
-    ended = [labelled for labelled in own if labelled[1].stop is not Stop.MERGED]
-    optima = _distinct(sorted(ended, key=lambda labelled: labelled[1].energy))
-    label, solution, result = _first_feasible(solving, optima)
+    ended = [f for f in own if f.solution.stop is not Stop.MERGED]
+    optima = _distinct(sorted(ended, key=lambda f: f.solution.energy))
+    best, result = _first_feasible(solving, optima)
+    solution = best.solution
     scenario, model = solving.scenario, solving.model
     robot = solving.trajectory(solution, "robot")
     people = solving.people(solution)
@@ -88,10 +91,11 @@ def component_of(
         log_evidence=_evidence(solving, optima),
         converged=solution.converged,
         stop=solution.stop.value,
-        iterations=sum(s.iterations for _, s in own),
+        iterations=sum(f.solution.iterations for f in own),
         seconds=seconds,
-        start=label,
+        start=best.label,
         optima=len(optima),
+        finished=solving.finished,
         check=result,
         robot=robot,
         crowd={
@@ -106,36 +110,34 @@ def component_of(
     return Solved(component, solution.state)
 
 
-def _distinct(optima: list[tuple[str, Solution]]) -> list[tuple[str, Solution]]:
+def _distinct(optima: list[Found]) -> list[Found]:
     """Optima without repetition, in the order given."""
-    kept: list[tuple[str, Solution]] = []
-    for label, solution in optima:
-        if all(np.abs(solution.state - other.state).max() > SAME for _, other in kept):
-            kept.append((label, solution))
+    kept: list[Found] = []
+    for new in optima:
+        if all(np.abs(new.solution.state - old.solution.state).max() > SAME for old in kept):
+            kept.append(new)
     return kept
 
 
-def _first_feasible(
-    solving: Solving, optima: list[tuple[str, Solution]]
-) -> tuple[str, Solution, Check]:
-    first = None
-    for label, solution in optima:
-        robot = solving.trajectory(solution, "robot")
-        result = check(solving.scenario, robot, solving.people(solution))
+def _first_feasible(solving: Solving, optima: list[Found]) -> tuple[Found, Check]:
+    """The best optimum that passes the hard check, else the best."""
+    checked = []
+    for optimum in optima:
+        robot = solving.trajectory(optimum.solution, "robot")
+        result = check(solving.scenario, robot, solving.people(optimum.solution))
         if result.feasible:
-            return label, solution, result
-        first = first or (label, solution, result)
-    assert first is not None
-    return first
+            return optimum, result
+        checked.append((optimum, result))
+    return checked[0]
 
 
-def _evidence(solving: Solving, optima: list[tuple[str, Solution]]) -> float | None:
+def _evidence(solving: Solving, optima: list[Found]) -> float | None:
     """Sum of the Laplace masses of the distinct optima."""
-    lowest = optima[0][1].energy
+    lowest = optima[0].solution.energy
     modes = [
-        laplace(solving.assembly, solution, solving.which)
-        for _, solution in optima
-        if solution.energy < lowest + NEGLIGIBLE
+        laplace(solving.assembly, optimum.solution, solving.which)
+        for optimum in optima
+        if optimum.solution.energy < lowest + NEGLIGIBLE
     ]
     masses = [mode for mode in modes if mode is not None]
     return float(np.logaddexp.reduce(masses)) if masses else None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from fgplan.trajectory import Array, Trajectory
 
@@ -14,10 +15,12 @@ class Start:
     Args:
         label: What the guess is: "plan", "wait", "left of p3", ...
         robot: States at the time steps of the density.
+        crowd: The same for people by name; who is not named starts at their prediction.
     """
 
     label: str
     robot: Trajectory
+    crowd: Mapping[str, Trajectory] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,7 @@ class Component:
         seconds: Share of the solver's time [s].
         start: The start that led here.
         optima: Number of distinct local optima found; with one, nothing says it is global.
+        finished: Whether all its starts were followed to their end.
         check: The hard check.
         robot: f^R.
         crowd: f: people's planned (or predicted) trajectories, by name.
@@ -52,6 +53,7 @@ class Component:
     seconds: float
     start: str
     optima: int
+    finished: bool
     check: Check
     robot: Trajectory
     crowd: dict[str, Trajectory]
@@ -93,6 +95,7 @@ class Mixture:
 
     Args:
         name: Of the scenario.
+        now: Of the scenario [s].
         components: In the order of their score, best first.
         probability_height: softmax(log w_i − energy_i), shape (K,).
         probability_mass: softmax(log w_i + log Z_i), shape (K,); 0 where there is no evidence.
@@ -104,6 +107,7 @@ class Mixture:
     """
 
     name: str
+    now: float
     components: tuple[Component, ...]
     probability_height: Array
     probability_mass: Array
@@ -124,6 +128,7 @@ class Mixture:
         action = self.action
         return {
             "scenario": self.name,
+            "now": self.now,
             "selected": None if best is None else best.label,
             "action": {
                 "kind": action.kind,
@@ -163,6 +168,7 @@ def _component_dict(c: Component, height: float, mass: float) -> dict[str, Any]:
         "seconds": c.seconds,
         "start": c.start,
         "optima": c.optima,
+        "finished": c.finished,
         "min_separation": _finite(c.check.min_separation),
         "clearance": _finite(c.check.clearance),
         "feasible": c.feasible,

@@ -69,6 +69,7 @@ class Model:
         own: Terms of this hypothesis: its plan.
         fixed: States known without error: (variable, step) → value.
         reference: A typical trajectory of all variables, shape (T + 1, D).
+        people: Names of those in the crowd variable, in its order.
         extra: The user's own GTSAM factors.
     """
 
@@ -78,6 +79,7 @@ class Model:
     own: tuple[Term, ...]
     fixed: dict[tuple[str, int], Array]
     reference: Array
+    people: tuple[str, ...] = ()
     extra: tuple[gtsam.NonlinearFactor, ...] = ()
 
     @cached_property
@@ -137,9 +139,15 @@ class Model:
         return state
 
     def initial(self, start: Start) -> Array:
-        """The state to start from: the robot's guess, everything else as it is expected."""
+        """The state to start from: the guess, and everything else as it is expected."""
         state = self.reference.copy()
         state[:, self.columns["robot"]] = start.robot.states
+        n = len(self.people)
+        for i, name in enumerate(self.people):
+            if name in start.crowd:
+                at = self.columns["crowd"].start + 2 * i
+                state[:, at : at + 2] = start.crowd[name].positions
+                state[:, at + 2 * n : at + 2 * n + 2] = start.crowd[name].velocities
         for (name, k), value in self.fixed.items():
             state[k, self.columns[name]] = value
         return state
@@ -178,8 +186,9 @@ def build(
         if joint:
             parts.append(_expected_crowd(belief, scenario.density.times))
         own = tuple(_hypothesis_terms(scenario, hypothesis, levels, T))
+        reference, people = np.hstack(parts), belief.names if joint else ()
         models.append(
-            Model(scenario.density.times, variables, shared, own, fixed, np.hstack(parts), extra)
+            Model(scenario.density.times, variables, shared, own, fixed, reference, people, extra)
         )
     return tuple(models)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import gtsam
@@ -20,11 +21,15 @@ from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
 from fgplan.safety import People, brake
 from fgplan.scenario import Scenario
+from fgplan.search import search, shifted
 from fgplan.solver import SecondOrder, Solver
 from fgplan.trajectory import Trajectory
 from fgplan.validation import validate
 
 Array = NDArray[np.float64]
+
+RESERVE = 0.2
+"""Share of a deadline that is kept for checking and weighing what was found."""
 
 
 def plan(
@@ -34,6 +39,8 @@ def plan(
     solver: Solver = SecondOrder(),  # noqa: B008 - frozen
     select: selection.Rule = selection.height,
     hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = hypothesise,
+    warm: Mixture | None = None,
+    deadline: float | None = None,
 ) -> Mixture:
     """The most probable plan under the joint density of plans, robot and people.
 
@@ -43,6 +50,10 @@ def plan(
         solver: `SecondOrder()`, or `GtsamLM()` for GTSAM's own optimiser.
         select: `selection.height` (default) or `selection.mass`; both are always reported.
         hypotheses: Where the global plans come from.
+        warm: The previous plan, of an earlier `scenario.now`: its components, shifted in time,
+            are starts beside the cold ones.
+        deadline: Seconds from the call after which the best plan so far is returned; it says
+            which hypotheses were finished and which were dropped.
 
     Returns:
         All hypotheses solved, the one to follow, and its next step. The result is the best local
@@ -60,30 +71,26 @@ def plan(
     proposed = tuple(hypotheses(scenario, belief))
     ready = perf_counter()
 
-    models = build(scenario, belief, proposed, factors)
-    assembly = Assembly(models)
-    starts = [(i, start) for i, h in enumerate(proposed) for start in h.starts]
-    initial = np.stack([models[i].initial(start) for i, start in starts])
-    which = np.array([i for i, _ in starts])
+    assembly = Assembly(build(scenario, belief, proposed, factors))
+    before = shifted(warm, scenario, scenario.now - warm.now) if warm is not None else ()
+    end = np.inf if deadline is None else began + (1 - RESERVE) * deadline
     modelled = perf_counter()
-    solutions = solver.solve(assembly, initial, which)
+    searched = search(assembly, proposed, solver, before, end)
     solved = perf_counter()
 
-    total = sum(s.iterations for s in solutions) or 1
+    total = sum(f.solution.iterations for f in searched.found) or 1
     components = []
     for i, hypothesis in enumerate(proposed):
-        own = [
-            (start.label, solution)
-            for (j, start), solution in zip(starts, solutions, strict=True)
-            if i == j and np.isfinite(solution.energy)
-        ]
+        own = [f for f in searched.found if f.which == i and np.isfinite(f.solution.energy)]
         if own:
-            seconds = (solved - modelled) * sum(s.iterations for _, s in own) / total
-            solving = Solving(scenario, belief, assembly, i)
+            seconds = (solved - modelled) * sum(f.solution.iterations for f in own) / total
+            solving = Solving(
+                scenario, belief, assembly, i, i not in searched.unfinished | searched.dropped
+            )
             components.append(component_of(solving, hypothesis, own, seconds))
     if not components:
         labels = [h.label for h in proposed]
-        raise NoPlan(f"none of {labels} has a finite posterior", solutions)
+        raise NoPlan(f"none of {labels} has a finite posterior", searched.found)
     merged = merge(components)
     weighed = perf_counter()
     timing = {
@@ -93,7 +100,10 @@ def plan(
         "evidence": weighed - solved,
         "total": weighed - began,
     }
-    return _decide(scenario, belief, merged, select, timing)
+    mixture = _decide(scenario, belief, merged, select, timing)
+    notes = [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
+    notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
+    return replace(mixture, warnings=(*sorted(notes), *mixture.warnings))
 
 
 def _decide(
@@ -127,6 +137,7 @@ def _decide(
         action = _action("stop", trajectory, result.feasible, f"no hypothesis is safe ({why})")
     return Mixture(
         name=scenario.name,
+        now=scenario.now,
         components=tuple(components),
         probability_height=probability_height,
         probability_mass=probability_mass,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from time import perf_counter
 from typing import Protocol
 
 import gtsam
@@ -30,6 +31,7 @@ class Stop(Enum):
     NOT_FINITE = "the energy is not finite at the start"
     SADDLE = "stationary, but not a minimum"
     MERGED = "met another start on its way"
+    DEADLINE = "no time left"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +61,16 @@ class Solution:
 class Solver(Protocol):
     """Anything that takes starts to local optima."""
 
-    def solve(self, assembly: Assembly, initial: Array, which: Index) -> tuple[Solution, ...]:
+    def solve(
+        self, assembly: Assembly, initial: Array, which: Index, until: float = np.inf
+    ) -> tuple[Solution, ...]:
         """Optimise each start.
 
         Args:
             assembly: The density.
             initial: Shape (B, T + 1, D).
             which: Hypothesis of each start, shape (B,).
+            until: When to return what there is, on the clock of `time.perf_counter` [s].
         """
         ...
 
@@ -91,7 +96,9 @@ class SecondOrder:
     tolerance: float = 1e-9
     meeting: float = 0.05
 
-    def solve(self, assembly: Assembly, initial: Array, which: Index) -> tuple[Solution, ...]:
+    def solve(
+        self, assembly: Assembly, initial: Array, which: Index, until: float = np.inf
+    ) -> tuple[Solution, ...]:
         X = np.array(initial, dtype=float)
         which = np.asarray(which)
         B = len(X)
@@ -102,9 +109,17 @@ class SecondOrder:
         active = np.flatnonzero(np.isfinite(energy))
         for b in np.flatnonzero(~np.isfinite(energy)).tolist():
             stop[b] = Stop.NOT_FINITE
+        began = perf_counter()
         for iteration in range(self.max_iterations):
             if not len(active):
                 break
+            # The next iteration is expected to last as long as the last one.
+            now = perf_counter()
+            if now + (now - began) > until:
+                for b in active.tolist():
+                    stop[b] = Stop.DEADLINE
+                break
+            began = now
             newton = iteration >= self.warmup
             way = _directions(assembly, X[active], which[active], newton)
             length, reached = _line_search(assembly, X[active], way, which[active])
@@ -164,9 +179,13 @@ class GtsamLM:
     max_iterations: int = 200
     tolerance: float = 1e-12
 
-    def solve(self, assembly: Assembly, initial: Array, which: Index) -> tuple[Solution, ...]:
+    def solve(
+        self, assembly: Assembly, initial: Array, which: Index, until: float = np.inf
+    ) -> tuple[Solution, ...]:
         return tuple(
             self._solve_one(assembly, state, int(i))
+            if perf_counter() < until
+            else _unsolved(assembly, state, int(i))
             for state, i in zip(initial, which, strict=True)
         )
 
@@ -195,6 +214,11 @@ class GtsamLM:
             stop = Stop.CONVERGED if promised < 1e-6 else Stop.NO_DESCENT
         energy = float(graph.error(result))
         return Solution(end, energy, optimizer.iterations(), stop, promised)
+
+
+def _unsolved(assembly: Assembly, state: Array, which: int) -> Solution:
+    energy = float(assembly.energy(state, np.asarray(which)))
+    return Solution(state, energy, 0, Stop.DEADLINE, np.inf)
 
 
 def factor_hessian(assembly: Assembly, state: Array, which: int) -> Factor | None:

@@ -28,7 +28,7 @@ RANKS = [
     {"model"},
     {"assembly"},
     {"solver"},
-    {"evidence", "inference"},
+    {"evidence", "inference", "search"},
     {"components"},
     {"selection"},
     {"planner"},
