@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from factors.residual import Expansion, Linear, Residual
 from fgplan import keys
+from fgplan.block_tridiagonal import System
 from fgplan.model import Model, Term
 
 Array = NDArray[np.float64]
@@ -28,22 +29,20 @@ CHUNK = 65536
 """Numbers in the Hessian blocks that are laid out at once: they should stay in the cache."""
 
 
-class NotAChain(ValueError):
-    """A user's factor connects time steps that are not neighbours."""
-
-
 @dataclass(frozen=True, eq=False)
 class _Wired:
     """A nonlinear term with the places of its variables in the state.
 
     `runs` are contiguous runs of the residual's support: (offset in time, slice of the state,
-    slice of the expansion).
+    slice of the expansion). A term that reaches further than the next time step is no part of
+    the chain: its curvature is kept apart, on the places `far` of the flattened state.
     """
 
     residual: Residual
     slots: tuple[tuple[slice, slice], ...]
     first: slice
     runs: tuple[tuple[int, slice, slice], ...]
+    far: Index | None = None
 
     def variables(self, X: Array) -> list[Array]:
         return [X[..., steps, columns] for steps, columns in self.slots]
@@ -82,12 +81,17 @@ class Quadratic:
         self.linear_energy = assembly.constant[which] + _dot(self.linear_gradient - 0.5 * curve, d)
         self.energy = self.linear_energy.copy()
         self.gradient = self.linear_gradient.copy()
-        self._parts = []
+        self._parts: list[tuple[_Wired, Array]] = []
+        self._far: list[tuple[Index, Array]] = []
         for wired in assembly.nonlinear:
             part = expand(wired.residual, wired.variables(X))
             self.energy += part.energy.sum(-1)
             wired.add_gradient(part.gradient, self.gradient)
-            self._parts.append((wired, part.hessian))
+            if wired.far is None:
+                self._parts.append((wired, part.hessian))
+            else:
+                free = assembly.free.reshape(-1)[wired.far]
+                self._far.append((wired.far, part.hessian[:, 0] * np.outer(free, free)))
         self.gradient[:, ~assembly.free] = 0.0
 
     def hessian(self, rows: Index) -> tuple[Array, Array]:
@@ -109,12 +113,13 @@ class Quadratic:
         """Blocks (k, k + 1) of all B Hessians, shape (B, S − 1, D, D)."""
         return self.hessian(np.arange(len(self.energy)))[1]
 
-    def hessians(self, rows: Index) -> Iterator[tuple[int, Array, Array]]:
-        """Each of some rows with its blocks (S, D, D) and (S − 1, D, D), a few at a time."""
+    def systems(self, rows: Index) -> Iterator[tuple[int, System]]:
+        """Each of some rows with its Hessian, laid out a few at a time."""
         size = max(1, CHUNK // self._assembly.reference[0].size // self.gradient.shape[-1])
         for at in range(0, len(rows), size):
             chunk = rows[at : at + size]
-            yield from zip(chunk.tolist(), *self.hessian(chunk), strict=True)
+            for b, diagonal, upper in zip(chunk.tolist(), *self.hessian(chunk), strict=True):
+                yield b, System(diagonal, upper, tuple((i, part[b]) for i, part in self._far))
 
 
 class Assembly:
@@ -126,7 +131,6 @@ class Assembly:
     Raises:
         ValueError: the models do not share their terms, a hypothesis's own term is not linear, or
             a user's factor is on a variable that does not exist.
-        NotAChain: a user's factor connects time steps that are not neighbours.
     """
 
     def __init__(self, models: Sequence[Model]) -> None:
@@ -340,9 +344,11 @@ def _wire_user(factor: gtsam.NonlinearFactor, model: Model) -> _Wired:
     places = [place[key] for key in factor.keys()]
     steps = [k for k, _ in places]
     start = min(steps)
-    if max(steps) - start > 1:
-        raise NotAChain(f"a factor of yours connects the steps {sorted(set(steps))}")
     slots = tuple((slice(k, k + 1), columns) for k, columns in places)
     dims = tuple(columns.stop - columns.start for _, columns in places)
     runs = _runs([(k - start, c) for k, c in places], np.arange(sum(dims)))
-    return _Wired(_UserFactor(factor, dims), slots, slice(start, start + 1), runs)
+    far = None
+    if max(steps) - start > 1:
+        D = model.reference.shape[1]
+        far = np.concatenate([k * D + np.arange(c.start, c.stop) for k, c in places])
+    return _Wired(_UserFactor(factor, dims), slots, slice(start, start + 1), runs, far)

@@ -7,7 +7,7 @@ wide as two blocks would spend half its work on zeros.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +32,41 @@ class Factor(Protocol):
         ...
 
 
-def factorize(diagonal: Array, upper: Array) -> Factor | None:
-    """Factorise H from its blocks; None where H is not positive definite.
+class System(NamedTuple):
+    """A symmetric matrix H: a chain, and links between steps that are not neighbours.
 
     Args:
         diagonal: Blocks (k, k), symmetric, shape (S, D, D).
         upper: Blocks (k, k + 1), shape (S − 1, D, D).
+        links: Symmetric parts (m, m) on places (m,) of the flattened state.
     """
+
+    diagonal: Array
+    upper: Array
+    links: tuple[tuple[NDArray[np.intp], Array], ...] = ()
+
+    def mixed(self, other: System, share: float) -> System:
+        """(1 − share) of this and share of another one with the same links."""
+        links = tuple(
+            (places, (1 - share) * a + share * b)
+            for (places, a), (_, b) in zip(self.links, other.links, strict=True)
+        )
+        return System(
+            (1 - share) * self.diagonal + share * other.diagonal,
+            (1 - share) * self.upper + share * other.upper,
+            links,
+        )
+
+
+def factorize(
+    diagonal: Array, upper: Array, links: tuple[tuple[NDArray[np.intp], Array], ...] = ()
+) -> Factor | None:
+    """Factorise H, given as the parts of a `System`; None where it is not positive definite.
+
+    With links the system is solved as a dense one.
+    """
+    if links:
+        return _factorize_dense(diagonal, upper, links)
     if diagonal.shape[-1] <= BAND_LIMIT:
         return _factorize_band(diagonal, upper)
     return _factorize_blocks(diagonal, upper)
@@ -75,6 +103,34 @@ class _Blocks:
     @property
     def log_determinant(self) -> float:
         return float(2 * sum(np.log(np.diagonal(L)).sum() for L in self._factors))
+
+
+class _Dense:
+    def __init__(self, factor: Array) -> None:
+        self._factor = factor
+
+    def solve(self, rhs: Array) -> Array:
+        x, _ = lapack.dpotrs(self._factor, rhs.reshape(-1), lower=1)
+        return np.asarray(x).reshape(rhs.shape)
+
+    @property
+    def log_determinant(self) -> float:
+        return float(2 * np.log(np.diagonal(self._factor)).sum())
+
+
+def _factorize_dense(
+    diagonal: Array, upper: Array, links: tuple[tuple[NDArray[np.intp], Array], ...]
+) -> Factor | None:
+    S, D, _ = diagonal.shape
+    H = np.zeros((S, D, S, D))
+    k = np.arange(S)
+    H[k, :, k, :] = diagonal
+    H[k[1:], :, k[:-1], :] = np.swapaxes(upper, -1, -2)  # only the lower triangle is read
+    flat = H.reshape(S * D, S * D)
+    for places, part in links:
+        np.add.at(flat, (places[:, None], places), part)
+    factor, info = lapack.dpotrf(flat, lower=1)
+    return _Dense(factor) if info == 0 and np.isfinite(np.diagonal(factor).sum()) else None
 
 
 def _factorize_blocks(diagonal: Array, upper: Array) -> Factor | None:

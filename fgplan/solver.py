@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly, Quadratic
-from fgplan.block_tridiagonal import Factor, factorize
+from fgplan.block_tridiagonal import Factor, System, factorize
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -224,8 +224,8 @@ def _unsolved(assembly: Assembly, state: Array, which: int) -> Solution:
 def factor_hessian(assembly: Assembly, state: Array, which: int) -> Factor | None:
     """Cholesky factor of the true Hessian at one state; None where it is not positive definite."""
     q = assembly.expand(state[None], np.array([which]))
-    diagonal, upper = q.hessian(np.zeros(1, dtype=np.intp))
-    return factorize(diagonal[0], upper[0])
+    _, system = next(q.systems(np.zeros(1, dtype=np.intp)))
+    return factorize(*system)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,8 +248,8 @@ def _directions(assembly: Assembly, X: Array, which: Index, newton: bool) -> _Di
         step[b] = factor.solve(-q.gradient[b])
         promised[b] = -0.5 * float(np.vdot(q.gradient[b], step[b]))
 
-    for b, diagonal, upper in q.hessians(np.arange(len(X))):
-        factor = factorize(diagonal, upper)
+    for b, system in q.systems(np.arange(len(X))):
+        factor = factorize(*system)
         if factor is None:
             indefinite.append(b)
         else:
@@ -257,10 +257,10 @@ def _directions(assembly: Assembly, X: Array, which: Index, newton: bool) -> _Di
     if indefinite:
         rows = np.array(indefinite)
         damping = assembly.gauss_newton(X[rows], which[rows])
-        for (b, *true), (_, *damp) in zip(
-            q.hessians(rows), damping.hessians(np.arange(len(rows))), strict=True
+        for (b, true), (_, flat) in zip(
+            q.systems(rows), damping.systems(np.arange(len(rows))), strict=True
         ):
-            factor = _damped(true, damp)
+            factor = _damped(true, flat)
             if factor is not None:
                 follow(b, factor)
     minimum = np.ones(len(X), dtype=bool)
@@ -268,15 +268,10 @@ def _directions(assembly: Assembly, X: Array, which: Index, newton: bool) -> _Di
     return _Directions(step, promised, minimum, q)
 
 
-def _damped(true: list[Array], damping: list[Array]) -> Factor | None:
+def _damped(true: System, flat: System) -> Factor | None:
     """Factor of (H + λ H_GN)/(1 + λ) for the first λ of 1 and infinity that allows it."""
-    for share in (0.5, 1.0):
-        with np.errstate(invalid="ignore"):  # a user's factor may hold inf; no factor then
-            mixed = [(1 - share) * a + share * b for a, b in zip(true, damping, strict=True)]
-        factor = factorize(*mixed)
-        if factor is not None:
-            return factor
-    return None
+    with np.errstate(invalid="ignore"):  # a user's factor may hold inf; no factor then
+        return factorize(*true.mixed(flat, 0.5)) or factorize(*flat)
 
 
 FULL_STEP = 0.5

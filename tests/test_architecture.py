@@ -21,7 +21,7 @@ RANKS = [
     {"occupancy"},
     {"scenario"},
     {"validation", "roadmap"},
-    {"scenario_file"},
+    {"scenario_file", "smoothing"},
     {"crowd", "routes", "safety", "stack"},
     {"starts", "mixture", "recordings"},
     {"hypotheses"},

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fgplan import Level, Scenario, keys
-from fgplan.assembly import Assembly, NotAChain
+from fgplan.assembly import Assembly
 from fgplan.model import build
+from fgplan.solver import GtsamLM, SecondOrder
 from tests.scenes import (
     CORRIDOR,
     ONE,
@@ -257,12 +258,19 @@ def test_a_factor_on_an_unknown_key_is_named():
         assembled(SCENES["alone"], [foreign])
 
 
-def test_a_factor_across_steps_that_are_no_neighbours_is_not_a_chain():
+@pytest.mark.parametrize("name", ["alone", "joint"])
+def test_a_factor_across_steps_that_are_no_neighbours_is_solved_densely(name):
+    """The oracle is GTSAM's own optimiser on the graph with that factor."""
     far = gtsam.BetweenFactorVector(
-        keys.robot(1), keys.robot(4), np.zeros(4), gtsam.noiseModel.Unit.Create(4)
+        keys.robot(1), keys.robot(4), np.array([0.3, 0.2, 0, 0]), gtsam.noiseModel.Unit.Create(4)
     )
-    with pytest.raises(NotAChain, match="1, 4"):
-        assembled(SCENES["alone"], [far])
+    assembly, hypotheses = assembled(SCENES[name], [far])
+    X, which = initial(assembly, hypotheses)
+    (ours,) = SecondOrder().solve(assembly, X[:1], which[:1])
+    (theirs,) = GtsamLM().solve(assembly, X[:1], which[:1])
+    assert ours.converged
+    assert ours.energy == pytest.approx(theirs.energy, abs=1e-6)
+    np.testing.assert_allclose(ours.state, theirs.state, atol=1e-4)
 
 
 def test_a_users_factor_may_join_different_variables():

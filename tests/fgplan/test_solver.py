@@ -144,7 +144,9 @@ def test_a_start_on_a_person_with_alpha_1_is_not_finite(solver):
     assert found[1].converged  # one bad start spoils nothing
 
 
-@pytest.mark.parametrize("solver", [SecondOrder(max_iterations=1, meeting=0.0), GtsamLM(max_iterations=1)])
+@pytest.mark.parametrize(
+    "solver", [SecondOrder(max_iterations=1, meeting=0.0), GtsamLM(max_iterations=1)]
+)
 def test_too_few_iterations_are_named(solver):
     assembly, hypotheses = assembled(random_scene(2, 3))
     X, which = initial(assembly, hypotheses)
