@@ -24,6 +24,7 @@ DT, STEPS, QC_ROBOT, QC_PEOPLE = 0.4, 12, 2.0, 0.029
 ALPHA, H_C, H = 0.99, 0.36, 1.0
 RADIUS, PERSON, MARGIN, CONTACT_SIGMA = 0.25, 0.3, 0.2, 0.1
 TOP_ACCELERATION, LIMIT_SIGMA, CRUISE = 1.5, 0.1, 1.0
+LIMIT_SHARE = 0.95  # where the hinge of a limit begins
 FAST, SLOW = 1.5, 1.05
 """Top speeds [m/s]: one that no plan here needs, and one that the optima lean on."""
 TRACK_SIGMA, SPEED_SIGMA = 0.043, 1.5
@@ -149,9 +150,13 @@ class Oracle:
         energy = 0.5 * (z**2).sum(1)
         energy += w * ((robot - self.plan.T) ** 2).sum((1, 2)) / (2 * H)
         speed = np.linalg.norm(velocity[:, 0, :, 1:], axis=1)
-        energy += w * 0.5 * (np.maximum(0, speed - self.top) / LIMIT_SIGMA).__pow__(2).sum(1)
+        energy += (
+            w
+            * 0.5
+            * (np.maximum(0, speed - LIMIT_SHARE * self.top) / LIMIT_SIGMA).__pow__(2).sum(1)
+        )
         change = np.linalg.norm(np.diff(velocity[:, 0], axis=-1), axis=1) / DT
-        excess = np.maximum(0, change - TOP_ACCELERATION) / LIMIT_SIGMA
+        excess = np.maximum(0, change - LIMIT_SHARE * TOP_ACCELERATION) / LIMIT_SIGMA
         energy += w * 0.5 * (excess**2).sum(1)
         for i, (mean, P) in enumerate(self.people):
             if self.joint:
