@@ -93,8 +93,7 @@ def matern_prior(mean: Array, dt: float, sigma: float, length: float) -> Linear:
     m = mean.shape[-1] // 2
     rate = np.sqrt(3) / length
     A_t = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
-    S_t = np.diag([sigma**2, (rate * sigma) ** 2])
-    W = kron(whitener(S_t - A_t @ S_t @ A_t.T), np.eye(m))
+    W = kron(whitener(_matern_noise(rate * dt, rate, sigma)), np.eye(m))
     A = kron(A_t, np.eye(m))
     b = (mean[1:] - mean[:-1] @ A.T) @ W.T
     return Linear((-W @ A, W), b, log_gaussian_normalizer(W))
@@ -126,3 +125,15 @@ def kron(a: Array, b: Array) -> Array:
 
 def _time_covariance(dt: float) -> Array:
     return np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+
+
+def _matern_noise(a: float, rate: float, sigma: float) -> Array:
+    """S − A S Aᵀ of a Matérn-3/2 process over a = rate·dt, without the cancellation that leaves
+    nothing of it for a long correlation time."""
+    from scipy.special import gammainc  # scipy only where a level has a width
+
+    decay = np.exp(-2 * a)
+    pp = gammainc(3, 2 * a)  # 1 − exp(−2a)(1 + 2a + 2a²)
+    pv = 2 * a**2 * decay * rate
+    vv = (2 * a * (1 - a) * decay - np.expm1(-2 * a)) * rate**2
+    return np.asarray(sigma**2 * np.array([[pp, pv], [pv, vv]]), dtype=float)

@@ -24,7 +24,13 @@ FARTHEST = 1e7
 """Largest coordinate [m]: beyond it a float no longer resolves a robot."""
 LATEST = 1e11
 """Largest time stamp [s], on any clock in use."""
+NARROWEST = 1e-6
+"""Smallest width of a level [m] that is not 0."""
 MOST_STEPS = 2000
+LONGEST = 600.0
+"""Largest horizon [s]: the hard check looks every 0.05 s, and must end."""
+LONGEST_STEP = 60.0
+"""Largest dt [s]: obstacles are checked every 0.25 m between two states."""
 MOST_PLANS = 100
 
 
@@ -55,8 +61,8 @@ _SPEED = _Range(1e-3, 100, "give a speed above 0, at most 100 m/s")
 _CLOCK = _Range(-LATEST, LATEST, "give a finite time in seconds")
 
 _DENSITY = {
-    "dt": _POSITIVE,
-    "horizon": _POSITIVE,
+    "dt": _Range(1e-15, LONGEST_STEP, f"give a time above 0, at most {LONGEST_STEP:g} s"),
+    "horizon": _Range(1e-15, LONGEST, f"give a time above 0, at most {LONGEST:g} s"),
     "t_ref": _POSITIVE,
     "Qc_robot": _POSITIVE,
     "Qc_people": _POSITIVE,
@@ -77,7 +83,11 @@ _ROBOT = {
     "max_speed": _SPEED,
     "max_acceleration": _Range(1e-3, 1e4, "give an acceleration above 0, at most 1e4 m/s²"),
 }
-_LEVEL = {"sigma": _NOT_NEGATIVE_OR_INF, "length": _POSITIVE, "h": _POSITIVE}
+_LEVEL = {
+    "sigma": _NOT_NEGATIVE_OR_INF,
+    "length": _Range(1e-6, 1e6, "give a time from 1e-6 to 1e6 s"),
+    "h": _POSITIVE,
+}
 _FIELD_OF_VIEW = {
     "range": _POSITIVE_OR_INF,
     # A little above 2π, so that a rounded 6.284 is all round as well.
@@ -275,6 +285,9 @@ def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
         yield Mistake("levels", [], "give at least one level")
     for i, level in enumerate(levels):
         yield from _numbers(f"levels[{i}]", level, _LEVEL)
+        if _NOT_NEGATIVE.allows(level.sigma) and 0 < level.sigma < NARROWEST:
+            mend = f"give 0 for exactly its plan, or {NARROWEST:g} m or more"
+            yield Mistake(f"levels[{i}].sigma", level.sigma, mend)
     if levels and levels[0].sigma == np.inf:
         mend = "give a finite number: nothing else says where the first level is"
         yield Mistake("levels[0].sigma", levels[0].sigma, mend)
