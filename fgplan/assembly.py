@@ -189,7 +189,7 @@ class Assembly:
         with np.errstate(over="ignore", invalid="ignore"):  # inf and nan are checked by callers
             d = X - self.reference[which]
             linear = self.gradient[which] + 0.5 * self.times(d, which)
-            return np.asarray(self.constant[which] + _dot(linear, d) + self._potentials(X))
+            return np.asarray(self.constant[which] + _dot(linear, d) + self.potentials(X))
 
     def expand(self, X: Array, which: Index) -> Quadratic:
         """Second-order expansion with the true Hessian; X has shape (B, S, D)."""
@@ -210,7 +210,7 @@ class Assembly:
         def energies(s: Array) -> Array:
             with np.errstate(over="ignore", invalid="ignore"):
                 linear = q.linear_energy + s * slope + 0.5 * s**2 * curvature
-                return np.asarray(linear + self._potentials(X + s[..., None, None] * step))
+                return np.asarray(linear + self.potentials(X + s[..., None, None] * step))
 
         return energies
 
@@ -247,7 +247,8 @@ class Assembly:
             if k > 0:
                 upper[:, k - 1, :, held] = 0
 
-    def _potentials(self, X: Array) -> Array:
+    def potentials(self, X: Array) -> Array:
+        """Energy of what is not linear-Gaussian, never negative; X has shape (..., S, D)."""
         total = np.zeros(X.shape[:-2])
         for wired in self.nonlinear:
             total += wired.residual.energy(*wired.variables(X)).sum(-1)

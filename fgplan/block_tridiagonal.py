@@ -26,6 +26,14 @@ class Factor(Protocol):
         """x with H x = rhs; both (S, D)."""
         ...
 
+    def forward(self, rhs: Array) -> Array:
+        """L⁻¹ b with H = L Lᵀ; shape (N, S, D)."""
+        ...
+
+    def backward(self, rhs: Array) -> Array:
+        """L⁻ᵀ z: a draw of N(0, H⁻¹) where z is one of N(0, I); shape (N, S, D)."""
+        ...
+
     @property
     def log_determinant(self) -> float:
         """log det H."""
@@ -44,6 +52,18 @@ class System(NamedTuple):
     diagonal: Array
     upper: Array
     links: tuple[tuple[NDArray[np.intp], Array], ...] = ()
+
+    def times(self, d: Array) -> Array:
+        """H d, shape (N, S, D)."""
+        columns = np.ascontiguousarray(np.moveaxis(d, 0, -1))
+        product = np.matmul(self.diagonal, columns)
+        product[:-1] += np.matmul(self.upper, columns[1:])
+        product[1:] += np.matmul(np.swapaxes(self.upper, -1, -2), columns[:-1])
+        out = np.ascontiguousarray(np.moveaxis(product, -1, 0))
+        flat = out.reshape(len(d), -1)
+        for places, part in self.links:
+            flat[:, places] += d.reshape(len(d), -1)[:, places] @ part
+        return out
 
     def mixed(self, other: System, share: float) -> System:
         """(1 − share) of this and share of another one with the same links."""
@@ -80,6 +100,16 @@ class _Band:
         x, _ = lapack.dpbtrs(self._factor, rhs.reshape(-1), lower=1)
         return np.asarray(x).reshape(rhs.shape)
 
+    def forward(self, rhs: Array) -> Array:
+        return self._triangular(rhs, "N")
+
+    def backward(self, rhs: Array) -> Array:
+        return self._triangular(rhs, "T")
+
+    def _triangular(self, rhs: Array, trans: str) -> Array:
+        x, _ = lapack.dtbtrs(self._factor, rhs.reshape(len(rhs), -1).T, uplo="L", trans=trans)
+        return np.ascontiguousarray(x.T).reshape(rhs.shape)
+
     @property
     def log_determinant(self) -> float:
         return float(2 * np.log(self._factor[0]).sum())
@@ -100,6 +130,20 @@ class _Blocks:
             x[k] = blas.dtrsv(self._factors[k], b, lower=1, trans=1)
         return x
 
+    def forward(self, rhs: Array) -> Array:
+        y = np.empty((rhs.shape[1], rhs.shape[2], len(rhs)))
+        for k, L in enumerate(self._factors):
+            b = rhs[:, k].T - self._links[k - 1].T @ y[k - 1] if k else rhs[:, k].T
+            y[k] = blas.dtrsm(1.0, L, b, lower=1)
+        return np.ascontiguousarray(np.moveaxis(y, -1, 0))
+
+    def backward(self, rhs: Array) -> Array:
+        x = np.empty((rhs.shape[1], rhs.shape[2], len(rhs)))
+        for k in range(len(x) - 1, -1, -1):
+            b = rhs[:, k].T - self._links[k] @ x[k + 1] if k + 1 < len(x) else rhs[:, k].T
+            x[k] = blas.dtrsm(1.0, self._factors[k], b, lower=1, trans_a=1)
+        return np.ascontiguousarray(np.moveaxis(x, -1, 0))
+
     @property
     def log_determinant(self) -> float:
         return float(2 * sum(np.log(np.diagonal(L)).sum() for L in self._factors))
@@ -112,6 +156,17 @@ class _Dense:
     def solve(self, rhs: Array) -> Array:
         x, _ = lapack.dpotrs(self._factor, rhs.reshape(-1), lower=1)
         return np.asarray(x).reshape(rhs.shape)
+
+    def forward(self, rhs: Array) -> Array:
+        return self._triangular(rhs, 0)
+
+    def backward(self, rhs: Array) -> Array:
+        return self._triangular(rhs, 1)
+
+    def _triangular(self, rhs: Array, trans: int) -> Array:
+        flat = rhs.reshape(len(rhs), -1).T
+        x = blas.dtrsm(1.0, self._factor, flat, lower=1, trans_a=trans)
+        return np.ascontiguousarray(x.T).reshape(rhs.shape)
 
     @property
     def log_determinant(self) -> float:
