@@ -108,7 +108,9 @@ def believe(
             residual = positions[:, k] - p
             p, v = p + gain_p[:, None] * residual, v + gain_v[:, None] * residual
             vv = vv - gain_v * pv
-            pp, pv = pp - gain_p * pp, pv - gain_p * pv
+            # 1 − gain, which as a difference is 0 where R is nothing beside the prediction.
+            keep = np.where(told[:, k] > 0, R / (pp + R), 1.0)
+            pp, pv = pp * keep, pv * keep
         step = dt[:, k]
         p = p + step[:, None] * v
         pp = pp + step * (2 * pv + step * vv) + q_pp[:, k]
