@@ -1,4 +1,4 @@
-"""What the robot can do: speed and acceleration limits, as one-sided penalties."""
+"""What the robot can do: speed, acceleration and turn limits, as one-sided penalties."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from factors.hinge import Hinge, expand_norm, hinge_scale, linearize_norm, norm
 from factors.residual import Array, Expansion, Residual
+
+AT_REST = 1e-3
+"""Smooths |v| and |ω|·radius around 0 in a curvature limit [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +136,122 @@ class AccelerationLimit(Residual):
     def _change(self, before: Array, after: Array) -> Array:
         m = self.dim // 2
         return np.asarray(after[..., m:] - before[..., m:])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLimit(Residual):
+    r"""e = √weight · max(0, Σ A_i x_i − b)/sigma: one-sided limits on linear functions, one a row.
+
+    Args:
+        A: One matrix (rows, dims[i]) per variable.
+        b: The limits, shape (rows,), in the unit of the rows.
+        sigma: The same unit; inf switches the penalty off.
+        weight: Exponent of the potential, dt/t_ref.
+
+    Raises:
+        ValueError: shapes do not fit, sigma is not positive, or weight is negative.
+    """
+
+    A: tuple[Array, ...]
+    b: Array
+    sigma: float
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if any(a.shape[0] != len(self.b) for a in self.A):
+            raise ValueError(f"{[a.shape for a in self.A]} does not fit {len(self.b)} limits")
+        hinge_scale(self.sigma, self.weight)
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        return tuple(a.shape[1] for a in self.A)
+
+    @property
+    def rows(self) -> int:
+        return len(self.b)
+
+    @cached_property
+    def support(self) -> NDArray[np.intp]:
+        return np.flatnonzero(np.concatenate(self.A, axis=1).any(axis=0))
+
+    @cached_property
+    def _hinge(self) -> Hinge:
+        return Hinge(self.b, hinge_scale(self.sigma, self.weight), "above")
+
+    def error(self, *x: Array) -> Array:
+        return self._hinge.error(self._value(x))
+
+    def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
+        e, slope = self._hinge.linearize(self._value(x), np.ones(1))
+        return e, tuple(slope * a for a in self.A)
+
+    def _value(self, x: tuple[Array, ...]) -> Array:
+        terms = [xi @ a.T for a, xi in zip(self.A, x, strict=True)]
+        return np.asarray(sum(terms[1:], terms[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class CurvatureLimit(Residual):
+    r"""e = √weight · max(0, radius·|ω| − |v|)/sigma on one state (x, y, θ, v, ω).
+
+    A car turns only as it drives. Absolute values are rounded off within `AT_REST`, and equal at
+    rest, where the limit is met.
+
+    Args:
+        radius: Smallest turning radius [m].
+        sigma: [m/s]; inf switches the penalty off.
+        weight: Exponent of the potential, dt/t_ref.
+
+    Raises:
+        ValueError: radius or sigma is not positive, or weight is negative.
+    """
+
+    radius: float
+    sigma: float
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise ValueError(f"radius must be positive, got {self.radius}")
+        hinge_scale(self.sigma, self.weight)
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        return (5,)
+
+    @property
+    def rows(self) -> int:
+        return 1
+
+    @cached_property
+    def support(self) -> NDArray[np.intp]:
+        return np.array([3, 4])
+
+    @cached_property
+    def _hinge(self) -> Hinge:
+        return Hinge(0.0, hinge_scale(self.sigma, self.weight), "above")
+
+    def error(self, *x: Array) -> Array:
+        return self._hinge.error(self._excess(x[0])[0])[..., None]
+
+    def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
+        e, slope = self._hinge.linearize(*self._excess(x[0])[:2])
+        J = np.zeros((*e.shape, 1, 5))
+        J[..., 0, 3:] = slope
+        return e[..., None], (J,)
+
+    def expand(self, *x: Array) -> Expansion:
+        excess, slope, second = self._excess(x[0])
+        return self._hinge.expand(excess, slope, second[..., None] * np.eye(2))
+
+    def _excess(self, x: Array) -> tuple[Array, Array, Array]:
+        """radius·|ω| − |v|, its gradient (..., 2) and the diagonal of its Hessian (..., 2)."""
+        moving = x[..., 3:] * np.array([1.0, self.radius])
+        size = np.sqrt(moving**2 + AT_REST**2)
+        sign = np.array([-1.0, self.radius])
+        slope = sign * moving / size
+        second = np.array([-1.0, self.radius**2]) * AT_REST**2 / size**3
+        return size[..., 1] - size[..., 0], slope, second
 
 
 def _check(limit: float, dim: int) -> None:
