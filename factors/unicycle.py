@@ -12,7 +12,7 @@ tiny defect of the position (`UnicycleMotion`), which keeps it a density and the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,37 +244,47 @@ def planar(x: Array) -> Array:
     return np.concatenate([x[..., :2], moving], axis=-1)
 
 
-def advance(x: Array, change: Array, dt: float) -> Array:
+def advance(x: Array, change: Array, dt: Array | float) -> Array:
     """The next state after constant accelerations: no defect at all, up to the quadrature.
 
     Args:
         x: Shape (..., 5).
         change: (v' − v, ω' − ω), shape (..., 2) [m/s, rad/s].
-        dt: [s].
+        dt: A number, or one per state (...) [s].
     """
-    v, w = x[..., 3] + change[..., 0], x[..., 4] + change[..., 1]
-    local = np.concatenate([x[..., 2:], np.stack([v, w], axis=-1)], axis=-1)
-    weights, a, b = _quadrature(dt)
-    speed, heading = local @ a.T, local @ b.T
-    theta = x[..., 2] + 0.5 * dt * (x[..., 4] + w)
-    px = x[..., 0] + (speed * np.cos(heading)) @ weights
-    py = x[..., 1] + (speed * np.sin(heading)) @ weights
-    return np.stack([px, py, theta, v, w], axis=-1)
+    s, share = _gauss()
+    dt = np.asarray(dt, dtype=float)[..., None]
+    v, omega = x[..., 3:4], x[..., 4:5]
+    dv, domega = change[..., :1], change[..., 1:]
+    speed = dt * share * (v + s * dv)
+    heading = x[..., 2:3] + dt * (s * omega + 0.5 * s**2 * domega)
+    east = np.einsum("...i,...i->...", speed, np.cos(heading))
+    north = np.einsum("...i,...i->...", speed, np.sin(heading))
+    theta = (x[..., 2:3] + dt * (omega + 0.5 * domega))[..., 0]
+    moved = np.stack([x[..., 0] + east, x[..., 1] + north, theta], axis=-1)
+    return np.concatenate([moved, x[..., 3:] + change], axis=-1)
 
 
-def slip(x: Array, dt: float) -> Array:
+def slip(x: Array, dt: Array | float) -> Array:
     """How far each step (S − 1,) of states (S, 5) ends beside where its motion leads [m]."""
     ahead = advance(x[:-1], np.diff(x[:, 3:], axis=0), dt)
     return np.asarray(np.linalg.norm(x[1:, :2] - ahead[:, :2], axis=-1))
 
 
+@cache
+def _gauss() -> tuple[Array, Array]:
+    """Nodes and weights (n,) of an integral from 0 to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    return (nodes + 1) / 2, weights / 2
+
+
 def _quadrature(dt: float) -> tuple[Array, Array, Array]:
     """Weights (n,) [s], and rows (n, 5) that give v and θ at the nodes from (θ, v, ω, v', ω')."""
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    s, zero, one = (nodes + 1) / 2, np.zeros(NODES), np.ones(NODES)
+    s, share = _gauss()
+    zero, one = np.zeros(NODES), np.ones(NODES)
     speed = np.stack([zero, 1 - s, zero, s, zero], axis=-1)
     heading = np.stack([one, zero, dt * (s - s**2 / 2), zero, dt * s**2 / 2], axis=-1)
-    return dt * weights / 2, speed, heading
+    return dt * share, speed, heading
 
 
 def _planar_slope(x: Array) -> Array:

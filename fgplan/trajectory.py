@@ -23,6 +23,9 @@ class Trajectory:
         times: Shape (S,) [s], strictly increasing.
         positions: Shape (S, 2) [m].
         velocities: Shape (S, 2) [m/s].
+        headings: Where a robot with wheels looks, shape (S,), never wrapped [rad]; None for
+            bodies that move in any direction.
+        yaw_rates: How fast it turns, shape (S,) [rad/s]; given with the headings.
 
     Raises:
         ValueError: shapes disagree, a number is not finite, or times do not increase.
@@ -31,6 +34,8 @@ class Trajectory:
     times: Array
     positions: Array
     velocities: Array
+    headings: Array | None = None
+    yaw_rates: Array | None = None
 
     def __post_init__(self) -> None:
         size = len(self.times)
@@ -38,8 +43,13 @@ class Trajectory:
             ("times", (size,)),
             ("positions", (size, 2)),
             ("velocities", (size, 2)),
+            ("headings", (size,)),
+            ("yaw_rates", (size,)),
         ):
-            value = np.asarray(getattr(self, name), dtype=float)
+            given = getattr(self, name)
+            if given is None and name in ("headings", "yaw_rates"):
+                continue
+            value = np.asarray(given, dtype=float)
             if value.shape != shape:
                 raise ValueError(f"{name} has shape {value.shape}, expected {shape}")
             if not np.all(np.isfinite(value)):
@@ -47,6 +57,8 @@ class Trajectory:
             object.__setattr__(self, name, value)
         if size == 0 or np.any(np.diff(self.times) <= 0):
             raise ValueError("times must be a non-empty, strictly increasing sequence")
+        if (self.headings is None) != (self.yaw_rates is None):
+            raise ValueError("headings and yaw_rates are given together or not at all")
 
     @classmethod
     def from_states(cls, times: Array, states: Array) -> Trajectory:
@@ -60,8 +72,11 @@ class Trajectory:
 
     @property
     def rows(self) -> list[list[float]]:
-        """Rows (t, x, y, vx, vy), as they go into a file."""
-        return np.column_stack([self.times, self.states]).tolist()  # type: ignore[no-any-return]
+        """Rows (t, x, y, vx, vy), and the heading where there is one, as they go into a file."""
+        columns = [self.times, self.states]
+        if self.headings is not None:
+            columns.append(self.headings)
+        return np.column_stack(columns).tolist()  # type: ignore[no-any-return]
 
     def at(self, times: Any) -> Array:
         """States (x, y, vx, vy) at the given times, shape (..., 4).
@@ -72,8 +87,13 @@ class Trajectory:
         return np.concatenate([position, velocity], -1)
 
     def resampled(self, times: Array) -> Trajectory:
-        """The same curve with states at other times."""
-        return Trajectory.from_states(np.asarray(times, dtype=float), self.at(times))
+        """The same curve with states at other times; headings, too, are a Hermite cubic."""
+        t = np.asarray(times, dtype=float)
+        position, velocity = hermite(self.times, self.positions, self.velocities, t)
+        if self.headings is None or self.yaw_rates is None:
+            return Trajectory(t, position, velocity)
+        turned = hermite(self.times, self.headings, self.yaw_rates, t)
+        return Trajectory(t, position, velocity, *turned)
 
 
 def hermite(times: Array, positions: Array, velocities: Array, at: Any) -> tuple[Array, Array]:

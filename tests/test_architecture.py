@@ -17,7 +17,8 @@ ROOT = Path(__file__).parents[1]
 RANKS = [
     {"errors"},
     {"trajectory", "keys", "block_tridiagonal"},
-    {"hypothesis", "timing", "map_file"},
+    {"hypothesis", "timing", "map_file", "robots"},
+    {"wheeled"},
     {"occupancy"},
     {"scenario"},
     {"validation", "roadmap"},

@@ -1,0 +1,208 @@
+"""What kind of robot it is: its state, its prior p(f^R | z^R), its limits, its action.
+
+A model is a field of `fgplan.scenario.Robot`. `Holonomic` is here; those that move along their
+heading only are in `fgplan.wheeled`. Whatever the model, the first two components of a state are
+the position; `docs/robots.md` has the equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.gp_prior import GPPrior, transition
+from factors.kinematics import AccelerationLimit, SpeedLimit
+from factors.residual import Residual
+from fgplan.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from fgplan.scenario import Density, Robot
+
+Array = NDArray[np.float64]
+
+LIMIT_SHARE = 0.95
+"""Share of a limit at which its hinge begins: an optimum leans on a hinge, the check does not."""
+TOLERANCE = 1e-6
+"""Of the limits of a holonomic robot [m/s, m/s²]."""
+
+
+class Piece(NamedTuple):
+    """A residual on the robot's states at (k + offset for each offset), for all k from `first`."""
+
+    name: str
+    residual: Residual
+    offsets: tuple[int, ...]
+    first: int = 0
+
+
+@dataclass(frozen=True)
+class Twist:
+    """A velocity command in the base frame (REP-103: x forward, y left, yaw counter-clockwise).
+
+    Args:
+        linear_x: Forward [m/s].
+        linear_y: To the left [m/s]; 0 for a robot with wheels.
+        angular_z: [rad/s].
+    """
+
+    linear_x: float
+    linear_y: float
+    angular_z: float
+
+
+@runtime_checkable
+class RobotModel(Protocol):
+    """What planning asks of a kind of robot; `robot` holds its sizes and limits."""
+
+    @property
+    def dim(self) -> int:
+        """Size of a state; its first two components are the position."""
+        ...
+
+    def state(self, robot: Robot, heading: float) -> Array:
+        """The state now, shape (dim,), of a robot that looks to `heading` [rad]."""
+        ...
+
+    def prior(self, density: Density) -> Iterable[Piece]:
+        """p(f^R | state now) as factors between consecutive states."""
+        ...
+
+    def limits(self, robot: Robot, density: Density) -> Iterable[Piece]:
+        """What the robot can do, as one-sided penalties."""
+        ...
+
+    def on_plane(self, residual: Residual) -> Residual:
+        """A residual on states (x, y, vx, vy), applied to states of this model."""
+        ...
+
+    def lift(self, robot: Robot, now: Array, guess: Trajectory) -> Array:
+        """States (S, dim) from `now` on that come near a guess; the optimiser starts from them."""
+        ...
+
+    def trajectory(self, times: Array, states: Array) -> Trajectory:
+        """States (S, dim) in the plane."""
+        ...
+
+    def problems(self, robot: Robot, trajectory: Trajectory) -> list[str]:
+        """Which limits a trajectory of this model breaks, in words."""
+        ...
+
+    def braking(self, robot: Robot, now: Array, times: Array, share: float) -> Trajectory:
+        """A stop at a share of the largest deceleration."""
+        ...
+
+    def sample(
+        self, robot: Robot, density: Density, now: Array, count: int, rng: np.random.Generator
+    ) -> Array:
+        """Draws from the prior within the limits, shape (count, T + 1, dim)."""
+        ...
+
+    def twist(self, trajectory: Trajectory, step: int, heading: float) -> Twist:
+        """The command that leads to a step of a trajectory, from a robot looking to `heading`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Holonomic:
+    """Moves in any direction: (x, y, vx, vy) with white noise on acceleration.
+
+    Speed and acceleration are limited as vectors, by `max_speed` and `max_acceleration`.
+    """
+
+    @property
+    def dim(self) -> int:
+        return 4
+
+    def state(self, robot: Robot, heading: float) -> Array:
+        return robot.state
+
+    def prior(self, density: Density) -> Iterable[Piece]:
+        prior = GPPrior(density.dt, density.Qc_robot * np.eye(2))
+        yield Piece("robot prior", prior, (0, 1))
+
+    def limits(self, robot: Robot, density: Density) -> Iterable[Piece]:
+        sigma, weight = density.limit_sigma, density.exponent
+        speed = SpeedLimit(LIMIT_SHARE * robot.max_speed, sigma, weight=weight)
+        yield Piece("speed limit", speed, (0,), 1)
+        limit = LIMIT_SHARE * robot.max_acceleration
+        acceleration = AccelerationLimit(limit, sigma, density.dt, weight=weight)
+        yield Piece("acceleration limit", acceleration, (0, 1))
+
+    def on_plane(self, residual: Residual) -> Residual:
+        return residual
+
+    def lift(self, robot: Robot, now: Array, guess: Trajectory) -> Array:
+        return guess.states
+
+    def trajectory(self, times: Array, states: Array) -> Trajectory:
+        return Trajectory.from_states(times, states)
+
+    def problems(self, robot: Robot, trajectory: Trajectory) -> list[str]:
+        problems = []
+        speed = np.linalg.norm(trajectory.velocities, axis=1)
+        # A robot that is too fast now may slow down; it must not get faster again.
+        limit = np.maximum(robot.max_speed, np.minimum.accumulate(speed))
+        worst = int(np.argmax(speed - limit))
+        if speed[worst] > limit[worst] + TOLERANCE:
+            problems.append(f"speed {speed[worst]:.2f} m/s above {limit[worst]:.2f} m/s")
+        if len(trajectory.times) > 1:
+            change = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
+            acceleration = np.linalg.norm(change, axis=1).max()
+            if acceleration > robot.max_acceleration + TOLERANCE:
+                problems.append(
+                    f"acceleration {acceleration:.2f} m/s² above {robot.max_acceleration:.2f} m/s²"
+                )
+        return problems
+
+    def braking(self, robot: Robot, now: Array, times: Array, share: float) -> Trajectory:
+        speed = float(np.linalg.norm(robot.velocity))
+        direction = robot.velocity / speed if speed > 0 else np.zeros(2)
+        rate = share * robot.max_acceleration
+        moving = np.minimum(times, speed / rate)
+        along = speed * moving - 0.5 * rate * moving**2
+        velocity = np.maximum(speed - rate * times, 0.0)
+        return Trajectory(
+            times, robot.position + along[:, None] * direction, velocity[:, None] * direction
+        )
+
+    def sample(
+        self, robot: Robot, density: Density, now: Array, count: int, rng: np.random.Generator
+    ) -> Array:
+        r"""x' ~ N(Φ x, Q), given that ‖v' − v‖ ≤ a dt and ‖v'‖ ≤ max(max_speed, ‖v‖), step by step.
+
+        The change of speed is drawn from its law within the limit of acceleration, again and
+        again where the speed is too high; what is left after many draws keeps its velocity.
+        """
+        dt, q = density.dt, density.Qc_robot
+        states = np.empty((count, density.steps + 1, 4))
+        states[:, 0] = now
+        largest = 1 - np.exp(-((robot.max_acceleration * dt) ** 2) / (2 * q * dt))
+        spread = np.sqrt(q * dt**3 / 12)  # of the position, given both velocities
+        for k in range(density.steps):
+            v = states[:, k, 2:]
+            limit = np.maximum(robot.max_speed, np.linalg.norm(v, axis=1))
+            change, waiting = np.zeros_like(v), np.arange(count)
+            for _ in range(64):
+                u, angle = rng.random((2, len(waiting)))
+                length = np.sqrt(-2 * q * dt * np.log1p(-u * largest))
+                angle = 2 * np.pi * angle
+                tried = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+                fine = np.linalg.norm(v[waiting] + tried, axis=1) <= limit[waiting]
+                change[waiting[fine]] = tried[fine]
+                waiting = waiting[~fine]
+                if not len(waiting):
+                    break
+            mean = states[:, k] @ transition(dt, 2).T
+            mean[:, :2] += 0.5 * dt * change + spread * rng.standard_normal((count, 2))
+            mean[:, 2:] += change
+            states[:, k + 1] = mean
+        return states
+
+    def twist(self, trajectory: Trajectory, step: int, heading: float) -> Twist:
+        vx, vy = trajectory.velocities[step].tolist()
+        c, s = float(np.cos(heading)), float(np.sin(heading))
+        return Twist(c * vx + s * vy, c * vy - s * vx, 0.0)
