@@ -130,10 +130,10 @@ def _time_covariance(dt: float) -> Array:
 def _matern_noise(a: float, rate: float, sigma: float) -> Array:
     """S − A S Aᵀ of a Matérn-3/2 process over a = rate·dt, without the cancellation that leaves
     nothing of it for a long correlation time."""
-    from scipy.special import gammainc  # scipy only where a level has a width
-
     decay = np.exp(-2 * a)
-    pp = gammainc(3, 2 * a)  # 1 − exp(−2a)(1 + 2a + 2a²)
+    # 1 − exp(−2a)(1 + 2a + 2a²), for small a by the rest of the series of exp(2a).
+    rest = np.cumprod(2 * a / np.arange(1, 24))[2:].sum()
+    pp = decay * rest if a < 1 else 1 - decay * (1 + 2 * a + 2 * a**2)
     pv = 2 * a**2 * decay * rate
     vv = (2 * a * (1 - a) * decay - np.expm1(-2 * a)) * rate**2
     return np.asarray(sigma**2 * np.array([[pp, pv], [pv, vv]]), dtype=float)

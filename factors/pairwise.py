@@ -61,14 +61,15 @@ class CrowdPairs(Residual):
     Args:
         potential: What a pair is worth.
         n: Number of people, at least 1.
-        pairs: "all", or only the "robot" with each person.
+        pairs: "all", or only the "robot" with each person; or bodies i < j of each pair, shape
+            (P, 2), the robot being body 0.
         robot_dim: Size of the robot's variable.
         space: Number of coordinates of a position.
     """
 
     potential: PairPotential
     n: int
-    pairs: Literal["all", "robot"] = "all"
+    pairs: Literal["all", "robot"] | NDArray[np.intp] = "all"
     robot_dim: int = 4
     space: int = 2
 
@@ -79,7 +80,10 @@ class CrowdPairs(Residual):
     @cached_property
     def index(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Bodies i < j of each pair; the robot is body 0."""
-        return pair_index(self.n, self.pairs)
+        if isinstance(self.pairs, str):
+            return pair_index(self.n, self.pairs)
+        i, j = self.pairs.T
+        return i, j
 
     @property
     def rows(self) -> int:

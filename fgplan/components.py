@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fgplan.assembly import Assembly
 from fgplan.crowd import Belief
 from fgplan.evidence import laplace
+from fgplan.gating import left_out_energy
 from fgplan.hypothesis import Hypothesis
 from fgplan.mixture import Component
 from fgplan.model import Model
@@ -55,14 +56,20 @@ class Solving:
         return Trajectory.from_states(self.model.times, solution.state[:, self.model.columns[name]])
 
     def people(self, solution: Solution) -> People:
-        """Planned people, or predicted ones where they are not variables."""
-        n, times = self.belief.count, self.model.times
-        if "crowd" in self.model.columns:
-            flat = solution.state[:, self.model.columns["crowd"]].reshape(len(times), 2, n, 2)
-            states = np.concatenate([flat[:, 0], flat[:, 1]], axis=-1)
-        else:
-            states = self.belief.predict(times)[0]
+        """Where people are planned, and predicted where they are not variables."""
+        model, times = self.model, self.model.times
+        states = self.belief.predict(times)[0]
+        if "crowd" in model.columns and model.gate is not None:
+            n = len(model.people)
+            flat = solution.state[:, model.columns["crowd"]].reshape(len(times), 2, n, 2)
+            states[:, model.gate.planned] = np.concatenate([flat[:, 0], flat[:, 1]], axis=-1)
         return People(times, states, self.belief.radii)
+
+    def left_out(self, people: People) -> float:
+        """What the density leaves out at these people's trajectories [nats]."""
+        if self.model.gate is None:
+            return 0.0
+        return left_out_energy(self.scenario, self.model.gate, people.states)
 
 
 def component_of(
@@ -70,7 +77,8 @@ def component_of(
 ) -> Solved:
     """The best feasible optimum of one hypothesis (the best one, if none is feasible)."""
     ended = [f for f in own if f.solution.stop is not Stop.MERGED]
-    optima = _distinct(sorted(ended, key=lambda f: f.solution.energy))
+    # Rounded, so that of two starts with one optimum the first is named.
+    optima = _distinct(sorted(ended, key=lambda f: round(f.solution.energy, 6)))
     best, result = _first_feasible(solving, optima)
     solution = best.solution
     scenario, model = solving.scenario, solving.model
@@ -103,6 +111,7 @@ def component_of(
             for i, name in enumerate(names)
         },
         levels=levels,
+        left_out=solving.left_out(people),
         displacement=_displacement(solving.belief, people),
         sides=_sides(robot, people, names),
         route=hypothesis.route,

@@ -43,6 +43,16 @@ class Belief:
         """Number of people n."""
         return len(self.names)
 
+    def select(self, index: NDArray[np.intp]) -> Belief:
+        """The belief about some of the people."""
+        return Belief(
+            tuple(self.names[i] for i in index),
+            self.mean[index],
+            self.covariance[index],
+            self.radii[index],
+            self.Qc,
+        )
+
     def predict(self, times: Array) -> tuple[Array, Array]:
         """The people at later times, by the white-noise-on-acceleration prior alone.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief
-from fgplan.hypothesis import Hypothesis, Start
+from fgplan.hypothesis import Hypothesis
 from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
@@ -37,7 +37,7 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
     """
     paths = _paths(scenario)
     if not paths:
-        return (Hypothesis("no goal", 0.0, None, 0.0, (Start("coast", coast(scenario)),)),)
+        return (_no_goal(scenario, belief),)
     robot, d = scenario.robot, scenario.density
     costs = np.array([path_length(path.vertices) for path in paths]) / robot.preferred_speed
     score = -d.beta * (costs - costs.min())
@@ -60,6 +60,13 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
         tries = starts(scenario, belief, plan, path.vertices)
         found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices))
     return tuple(found)
+
+
+def _no_goal(scenario: Scenario, belief: Belief) -> Hypothesis:
+    """The robot's prior alone; it may still wait for people, or pass them on either side."""
+    straight = coast(scenario)
+    ahead = straight.positions[[0, -1]]
+    return Hypothesis("no goal", 0.0, None, 0.0, starts(scenario, belief, straight, ahead))
 
 
 def _paths(scenario: Scenario) -> list[_Path]:

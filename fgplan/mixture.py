@@ -36,6 +36,8 @@ class Component:
         robot: f^R.
         crowd: f: people's planned (or predicted) trajectories, by name.
         levels: η_l, by name; the fixed plan where the level has no width.
+        left_out: Energy of the pairs that gating left out, at this optimum: the energy of the
+            whole density is higher by at most this [nats].
         displacement: How far each person is moved from their own prediction, as the Mahalanobis
             distance at the worst time step; 0 where people are held.
         sides: On which side each person near the robot is passed: "left" or "right".
@@ -58,6 +60,7 @@ class Component:
     robot: Trajectory
     crowd: dict[str, Trajectory]
     levels: dict[str, Trajectory]
+    left_out: float
     displacement: dict[str, float]
     sides: dict[str, str]
     route: Array | None
@@ -176,6 +179,7 @@ def _component_dict(c: Component, height: float, mass: float) -> dict[str, Any]:
         "robot": c.robot.rows,
         "crowd": {name: person.rows for name, person in c.crowd.items()},
         "levels": {name: level.rows for name, level in c.levels.items()},
+        "left_out": c.left_out,
         "displacement": c.displacement,
         "sides": c.sides,
     }

@@ -8,7 +8,7 @@ them in one call while GTSAM sees one factor a step.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import gtsam
@@ -25,6 +25,7 @@ from factors.pairwise import CrowdPairs, PredictedPairs
 from factors.residual import Residual
 from fgplan import keys
 from fgplan.crowd import Belief
+from fgplan.gating import Gate, gate
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.scenario import Density, Level, Scenario
 
@@ -69,6 +70,7 @@ class Model:
         own: Terms of this hypothesis: its plan.
         fixed: States known without error: (variable, step) → value.
         reference: A typical trajectory of all variables, shape (T + 1, D).
+        gate: Who is planned and who is held.
         people: Names of those in the crowd variable, in its order.
         extra: The user's own GTSAM factors.
     """
@@ -79,6 +81,7 @@ class Model:
     own: tuple[Term, ...]
     fixed: dict[tuple[str, int], Array]
     reference: Array
+    gate: Gate | None = None
     people: tuple[str, ...] = ()
     extra: tuple[gtsam.NonlinearFactor, ...] = ()
 
@@ -167,15 +170,20 @@ def build(
         hypotheses: Global plans.
         factors: The user's own GTSAM factors on `fgplan.keys`, added to every hypothesis.
     """
-    joint = scenario.crowd == "joint" and belief.count > 0
+    extra = tuple(factors)
+    if _touches_crowd(extra, scenario.density.steps):
+        # The user counts on all people being in the crowd variable.
+        density = replace(scenario.density, reach=np.inf)
+        scenario = scenario.replace(density=density)
+    gate_ = gate(scenario, belief, hypotheses)
+    planned, held = belief.select(gate_.planned), belief.select(gate_.held)
     T = scenario.density.steps
     robot = Variable("robot", 4, keys.robot)
-    crowd = (Variable("crowd", 4 * belief.count, keys.crowd),) if joint else ()
-    shared = tuple(_shared_terms(scenario, belief, joint))
+    crowd = (Variable("crowd", 4 * planned.count, keys.crowd),) if planned.count else ()
+    shared = tuple(_shared_terms(scenario, planned, held, gate_))
     fixed = {}
     if scenario.robot.covariance is None:
         fixed["robot", 0] = scenario.robot.state
-    extra = tuple(factors)
 
     models = []
     for hypothesis in hypotheses:
@@ -183,23 +191,29 @@ def build(
         variables = (*levels.values(), robot, *crowd)
         parts = [hypothesis.plan.states for _ in levels if hypothesis.plan is not None]
         parts.append(hypothesis.starts[0].robot.states)
-        if joint:
-            parts.append(_expected_crowd(belief, scenario.density.times))
+        if planned.count:
+            parts.append(_expected_crowd(planned, scenario.density.times))
         own = tuple(_hypothesis_terms(scenario, hypothesis, levels, T))
-        reference, people = np.hstack(parts), belief.names if joint else ()
+        reference, times = np.hstack(parts), scenario.density.times
         models.append(
-            Model(scenario.density.times, variables, shared, own, fixed, reference, people, extra)
+            Model(times, variables, shared, own, fixed, reference, gate_, planned.names, extra)
         )
     return tuple(models)
 
 
-def _shared_terms(scenario: Scenario, belief: Belief, joint: bool) -> Iterable[Term]:
+def _touches_crowd(factors: Iterable[gtsam.NonlinearFactor], steps: int) -> bool:
+    crowd = {keys.crowd(k) for k in range(steps + 1)}
+    return any(key in crowd for factor in factors for key in factor.keys())
+
+
+def _shared_terms(scenario: Scenario, planned: Belief, held: Belief, gate_: Gate) -> Iterable[Term]:
     d = scenario.density
     yield from _robot_prior(scenario)
-    if joint:
-        yield from _crowd_prior(belief, d)
-    if belief.count > 0:
-        yield from _people(scenario, belief, joint)
+    if planned.count:
+        yield from _crowd_prior(planned, d)
+        yield from _planned_people(scenario, planned, gate_)
+    if held.count:
+        yield from _held_people(scenario, held)
     yield from _obstacles(scenario)
     yield from _limits(scenario)
 
@@ -228,30 +242,36 @@ def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
     yield Term("crowd prior", prior, (("crowd", 0), ("crowd", 1)), range(d.steps))
 
 
-def _people(scenario: Scenario, belief: Belief, joint: bool) -> Iterable[Term]:
+def _planned_people(scenario: Scenario, planned: Belief, gate_: Gate) -> Iterable[Term]:
     """ψ_int(f^R, f) and ψ_contact(f^R, f)."""
-    d = scenario.density
-    steps = range(d.steps + 1)
-    reach = scenario.robot.radius + belief.radii + d.contact_margin
-    contact = Contact(reach, d.contact_sigma, d.exponent)
-    if joint:
-        on = (("robot", 0), ("crowd", 0))
-        if d.alpha > 0:
-            interaction = Interaction(d.alpha, d.h_c, d.exponent)
-            pairs = CrowdPairs(interaction, belief.count, scenario.pairs)
-            yield Term("interaction", pairs, on, steps)
-        if np.isfinite(d.contact_sigma):
-            yield Term("contact", CrowdPairs(contact, belief.count, "robot"), on, steps)
-        return
-    mean, covariance = belief.predict(d.times)
+    d, n = scenario.density, planned.count
+    on, steps = (("robot", 0), ("crowd", 0)), range(d.steps + 1)
     if d.alpha > 0:
-        # People held at their prediction: what is not known of them widens the interaction.
+        interaction = Interaction(d.alpha, d.h_c, d.exponent)
+        yield Term("interaction", CrowdPairs(interaction, n, gate_.pairs), on, steps)
+    if np.isfinite(d.contact_sigma):
+        contact = _contact(scenario, planned)
+        yield Term("contact", CrowdPairs(contact, n, "robot"), on, steps)
+
+
+def _held_people(scenario: Scenario, held: Belief) -> Iterable[Term]:
+    """The same with people held at their prediction: what is not known of them widens ψ_int."""
+    d = scenario.density
+    on, steps = (("robot", 0),), range(d.steps + 1)
+    mean, covariance = held.predict(d.times)
+    if d.alpha > 0:
         variance = np.trace(covariance[..., :2, :2], axis1=-2, axis2=-1) / 2
         interaction = Interaction(d.alpha, d.h_c, d.exponent, variance)
-        predicted = PredictedPairs(interaction, mean[..., :2])
-        yield Term("interaction", predicted, (("robot", 0),), steps)
+        yield Term("interaction held", PredictedPairs(interaction, mean[..., :2]), on, steps)
     if np.isfinite(d.contact_sigma):
-        yield Term("contact", PredictedPairs(contact, mean[..., :2]), (("robot", 0),), steps)
+        pairs = PredictedPairs(_contact(scenario, held), mean[..., :2])
+        yield Term("contact held", pairs, on, steps)
+
+
+def _contact(scenario: Scenario, people: Belief) -> Contact:
+    d = scenario.density
+    reach = scenario.robot.radius + people.radii + d.contact_margin
+    return Contact(reach, d.contact_sigma, d.exponent)
 
 
 def _obstacles(scenario: Scenario) -> Iterable[Term]:

@@ -136,6 +136,8 @@ class Density:
         obstacle_sigma: Of the obstacle hinge [m]; inf switches it off.
         obstacle_margin: ε of the obstacle hinge [m], beyond the robot's radius.
         limit_sigma: Of the speed [m/s] and acceleration [m/s²] hinges; inf switches them off.
+        reach: Who stays further than this from every start of the robot is held at their
+            prediction also when people are planned jointly [m]; inf plans everybody.
         beta: Nats per second of cost to go: w = softmax(−beta J).
     """
 
@@ -153,6 +155,7 @@ class Density:
     obstacle_sigma: float = 0.1
     obstacle_margin: float = 0.1
     limit_sigma: float = 0.05
+    reach: float = 3.0
     beta: float = 0.7
 
     @property

@@ -102,6 +102,7 @@ class _Density(_Table):
     obstacle_sigma: Number = 0.0
     obstacle_margin: Number = 0.0
     limit_sigma: Number = 0.0
+    reach: Number = 0.0
     beta: Number = 0.0
 
 

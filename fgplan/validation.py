@@ -75,6 +75,7 @@ _DENSITY = {
     "obstacle_sigma": _POSITIVE_OR_INF,
     "obstacle_margin": _NOT_NEGATIVE,
     "limit_sigma": _POSITIVE_OR_INF,
+    "reach": _POSITIVE_OR_INF,
     "beta": _NOT_NEGATIVE,
 }
 _ROBOT = {

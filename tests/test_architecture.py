@@ -26,6 +26,7 @@ RANKS = [
     {"crowd", "routes", "safety", "stack"},
     {"starts", "mixture", "recordings"},
     {"hypotheses"},
+    {"gating"},
     {"model"},
     {"assembly"},
     {"solver"},

@@ -215,7 +215,7 @@ def test_a_batch_equals_its_members_one_by_one(name):
 
 
 def test_a_hypothesis_among_others_is_the_hypothesis_alone():
-    scenario = random_scene(12, 2, levels=(CORRIDOR,), density=short())
+    scenario = random_scene(12, 2, levels=(CORRIDOR,), density=short(reach=np.inf))
     both, _ = assembled(scenario)
     state = jittered(both, seed=1)
     for i in range(2):

@@ -160,7 +160,7 @@ def test_potentials_have_no_normaliser():
 
 def weights(dt: float, t_ref: float | None) -> dict[str, float]:
     """Energy of each potential at one step of one state, by name."""
-    density = Density(dt=dt, horizon=4 * dt, t_ref=t_ref)
+    density = Density(dt=dt, horizon=4 * dt, t_ref=t_ref, reach=np.inf)
     assembly, _ = assembled(random_scene(4, 2, grid=True, density=density))
     model = assembly.models[0]
     state = model.reference.copy()
