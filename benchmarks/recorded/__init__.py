@@ -78,6 +78,6 @@ def summary(rows: list[Row]) -> list[Row]:
         values = np.percentile([row[name] for row in rows], PERCENTILES)
         named = zip(PERCENTILES, values.tolist(), strict=True)
         lines.append({"name": name, **{f"p{p}": value for p, value in named}})
-    for name in ("selected_converged", "all_converged", "feasible", "safe"):
-        lines.append({"name": name, "share": float(np.mean([row[name] for row in rows]))})
-    return lines
+    yes = ("selected_converged", "all_converged", "feasible", "safe")
+    shares = [{"name": name, "share": float(np.mean([row[name] for row in rows]))} for name in yes]
+    return lines + shares
