@@ -150,9 +150,16 @@ class Assembly:
         self.free = np.ones((S, D), dtype=bool)
         for name, k in first.fixed:
             self.free[k, first.columns[name]] = False
-        self._add_linear(first.columns)
+        self._add_linear()
 
-    def _add_linear(self, columns: dict[str, slice]) -> None:
+    def linear_terms(self, which: int) -> Iterator[tuple[_Wired, Linear]]:
+        """The linear-Gaussian terms of one hypothesis, with their places in the state."""
+        model = self.models[which]
+        for term in model.terms:
+            if isinstance(term.residual, Linear):
+                yield _wire(term, model.columns), term.residual
+
+    def _add_linear(self) -> None:
         """The constant Hessian, and energy and gradient of the linear terms at the reference."""
         K, S, D = self.reference.shape
         # Plans that differ only in where they lead share one constant Hessian.
@@ -163,11 +170,8 @@ class Assembly:
         self.gradient, self.constant = np.zeros((K, S, D)), np.zeros(K)
         for i, model in enumerate(self.models):
             row = self._row[i]
-            for term in model.terms:
-                if not isinstance(term.residual, Linear):
-                    continue
-                wired = _wire(term, columns)
-                part = term.residual.gauss_newton(*wired.variables(model.reference))
+            for wired, residual in self.linear_terms(i):
+                part = residual.gauss_newton(*wired.variables(model.reference))
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:

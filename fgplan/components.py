@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly
 from fgplan.crowd import Belief
-from fgplan.evidence import laplace
 from fgplan.gating import left_out_energy
 from fgplan.hypothesis import Hypothesis
+from fgplan.inference.base import Inference, Inferred, Progress
+from fgplan.inference.laplace import Laplace
 from fgplan.mixture import Component
 from fgplan.model import Model
 from fgplan.safety import Check, People, check
@@ -24,8 +25,6 @@ Array = NDArray[np.float64]
 
 SAME = 0.02
 """Two optima closer than this in every coordinate [m, m/s] are one."""
-NEGLIGIBLE = 20.0
-"""An optimum this many nats above the best adds nothing to the evidence."""
 NEARBY = 2.0
 """A side is reported for people who come closer than this [m]."""
 
@@ -47,6 +46,20 @@ class Solving:
     assembly: Assembly
     which: int
     finished: bool
+    inference: Inference = Laplace(check=0)  # noqa: RUF009 - frozen
+    seed: int = 0
+    progress: Progress | None = None
+
+    def infer(self, label: str, optima: list[Found]) -> Inferred:
+        """Trajectories and evidence; each hypothesis has its own stream of random numbers."""
+
+        def tell(what: str, done: int, total: int) -> None:
+            if self.progress is not None:
+                self.progress(f"{label}: {what}", done, total)
+
+        solutions = [optimum.solution for optimum in optima]
+        seed = (self.seed, self.which)
+        return self.inference.infer(self.assembly, self.which, solutions, seed, tell)
 
     @property
     def model(self) -> Model:
@@ -91,12 +104,13 @@ def component_of(
         elif hypothesis.plan is not None:
             levels[level.name] = hypothesis.plan
     names = solving.belief.names
+    inferred = solving.infer(hypothesis.label, optima)
     component = Component(
         label=hypothesis.label,
         log_prior=hypothesis.log_prior,
         cost=hypothesis.cost,
         energy=solution.energy - model.log_normalizer_own,
-        log_evidence=_evidence(solving, optima),
+        log_evidence=inferred.log_evidence,
         converged=solution.converged,
         stop=solution.stop.value,
         iterations=sum(f.solution.iterations for f in own),
@@ -115,6 +129,7 @@ def component_of(
         displacement=_displacement(solving.belief, people),
         sides=_sides(robot, people, names),
         route=hypothesis.route,
+        inferred=inferred,
     )
     return Solved(component, solution.state)
 
@@ -138,18 +153,6 @@ def _first_feasible(solving: Solving, optima: list[Found]) -> tuple[Found, Check
             return optimum, result
         checked.append((optimum, result))
     return checked[0]
-
-
-def _evidence(solving: Solving, optima: list[Found]) -> float | None:
-    """Sum of the Laplace masses of the distinct optima."""
-    lowest = optima[0].solution.energy
-    modes = [
-        laplace(solving.assembly, optimum.solution, solving.which)
-        for optimum in optima
-        if optimum.solution.energy < lowest + NEGLIGIBLE
-    ]
-    masses = [mode for mode in modes if mode is not None]
-    return float(np.logaddexp.reduce(masses)) if masses else None
 
 
 def _displacement(belief: Belief, people: People) -> dict[str, float]:

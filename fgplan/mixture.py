@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.safety import Check
 from fgplan.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from fgplan.inference.base import Inferred
 
 Array = NDArray[np.float64]
 
@@ -23,8 +26,9 @@ class Component:
         log_prior: log w_i, summed over the hypotheses merged here.
         cost: Cost to go of its (best) global plan [s].
         energy: −log p at the optimum, see `docs/conventions.md` [nats].
-        log_evidence: log Z_i by Laplace with the true Hessian, summed over the distinct optima
-            found; None where no optimum has a positive definite Hessian.
+        log_evidence: log Z_i by the inference method: by default Laplace with the true Hessian,
+            summed over the distinct optima found; None where it gives none, as where no optimum
+            has a positive definite Hessian.
         converged: Whether the optimum is a local minimum to tolerance.
         stop: Why the solver stopped.
         iterations: Linear systems solved, over all starts.
@@ -42,6 +46,8 @@ class Component:
             distance at the worst time step; 0 where people are held.
         sides: On which side each person near the robot is passed: "left" or "right".
         route: The global plan, shape (N, 2) [m]; None when no goal is known.
+        inferred: All that the inference method knows: weighted trajectories, the error of
+            `log_evidence`, diagnostics.
     """
 
     label: str
@@ -64,6 +70,7 @@ class Component:
     displacement: dict[str, float]
     sides: dict[str, str]
     route: Array | None
+    inferred: Inferred | None = None
 
     @property
     def feasible(self) -> bool:
@@ -182,6 +189,7 @@ def _component_dict(c: Component, height: float, mass: float) -> dict[str, Any]:
         "left_out": c.left_out,
         "displacement": c.displacement,
         "sides": c.sides,
+        "inference": None if c.inferred is None else c.inferred.to_dict(),
     }
 
 

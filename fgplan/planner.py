@@ -17,6 +17,8 @@ from fgplan.crowd import Belief, believe, seen
 from fgplan.errors import NoPlan
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
+from fgplan.inference.base import Inference, Progress
+from fgplan.inference.laplace import Laplace
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
 from fgplan.safety import People, brake
@@ -41,6 +43,9 @@ def plan(
     hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = hypothesise,
     warm: Mixture | None = None,
     deadline: float | None = None,
+    inference: Inference = Laplace(check=0),  # noqa: B008 - frozen
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> Mixture:
     """The most probable plan under the joint density of plans, robot and people.
 
@@ -54,6 +59,10 @@ def plan(
             are starts beside the cold ones.
         deadline: Seconds from the call after which the best plan so far is returned; it says
             which hypotheses were finished and which were dropped.
+        inference: What gives each hypothesis its evidence, and with it `probability_mass`: see
+            `fgplan.inference`. The deadline is for the solver and not for a sampler.
+        seed: Of a sampler.
+        progress: Told (what, done, total) by a sampler.
 
     Returns:
         All hypotheses solved, the one to follow, and its next step. The result is the best local
@@ -85,8 +94,9 @@ def plan(
         if own:
             seconds = (solved - modelled) * sum(f.solution.iterations for f in own) / total
             solving = Solving(
-                scenario, belief, assembly, i, i not in searched.unfinished | searched.dropped
-            )
+                scenario, belief, assembly, i, i not in searched.unfinished | searched.dropped,
+                inference, seed, progress,
+            )  # fmt: skip
             components.append(component_of(solving, hypothesis, own, seconds))
     if not components:
         labels = [h.label for h in proposed]
@@ -164,8 +174,8 @@ def _warnings(components: list[Component], height: Array, mass: Array) -> Iterab
     for c in components:
         if not c.converged:
             yield f"{c.label}: not a converged local optimum ({c.stop})"
-        if c.log_evidence is None:
-            yield f"{c.label}: no Laplace evidence, its Hessian is not positive definite"
+        if c.inferred is not None:
+            yield from (f"{c.label}: {c.inferred.method}: {d}" for d in c.inferred.warnings)
     if mass.any() and int(np.argmax(height)) != int(np.argmax(mass)):
         yield (
             f"height prefers {components[int(np.argmax(height))].label}, "

@@ -30,7 +30,7 @@ RANKS = [
     {"model"},
     {"assembly"},
     {"solver"},
-    {"evidence", "inference", "search"},
+    {"inference", "search"},
     {"components"},
     {"selection"},
     {"planner"},

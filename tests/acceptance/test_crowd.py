@@ -12,8 +12,8 @@ from factors.pairwise import CrowdPairs, PredictedPairs
 from fgplan import Density, GtsamLM, Robot, Scenario, Track, keys, plan
 from fgplan.assembly import Assembly
 from fgplan.crowd import believe
-from fgplan.evidence import laplace
 from fgplan.hypotheses import hypothesise
+from fgplan.inference.laplace import mode_evidence
 from fgplan.model import Variable, build
 from fgplan.solver import SecondOrder
 from tests.scalar import ROBOT, model, optimum
@@ -92,7 +92,7 @@ def test_13_two_modes_and_their_mass(solver):
     modes = [optimum(density, [x0], solver=solver) for x0 in (0.5, -0.5)]
     assert [s.converged for s in modes] == [True, True]
     np.testing.assert_allclose([s.state[0, 0] for s in modes], [1.168843, -1.168843], atol=1e-6)
-    Z = sum(np.exp(laplace(assembly, s, 0)) for s in modes)
+    Z = sum(np.exp(mode_evidence(assembly, s, 0)) for s in modes)
     assert pytest.approx(0.305537, abs=1e-6) == Z
     x = np.linspace(-12, 12, 200001)
     density_on_grid = np.exp(-assembly.energy(x[:, None, None], np.zeros(1, dtype=int)))

@@ -7,7 +7,7 @@ import pytest
 
 from factors.coupling import coupling, coupling_to
 from factors.gp_prior import gaussian
-from fgplan.evidence import laplace
+from fgplan.inference.laplace import mode_evidence
 from fgplan.solver import SecondOrder
 from tests.scalar import ROBOT, model, plan_variable, together
 
@@ -19,7 +19,7 @@ def scores(assembly) -> tuple[np.ndarray, np.ndarray]:
     energy = [
         s.energy - m.log_normalizer_own for s, m in zip(solutions, assembly.models, strict=True)
     ]
-    evidence = [laplace(assembly, s, i) for i, s in enumerate(solutions)]
+    evidence = [mode_evidence(assembly, s, i) for i, s in enumerate(solutions)]
     return -np.array(energy), np.array(evidence)
 
 

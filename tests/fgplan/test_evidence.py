@@ -13,7 +13,7 @@ from factors.interaction import Interaction
 from factors.pairwise import CrowdPairs, PredictedPairs
 from fgplan import Density, GivenPlan, Level, SecondOrder
 from fgplan.assembly import Assembly
-from fgplan.evidence import laplace
+from fgplan.inference.laplace import mode_evidence
 from fgplan.model import Variable
 from tests.scalar import ROBOT, model, optimum, plan_variable
 from tests.scenes import ONE, assembled, dense, forked, initial, short, track
@@ -22,7 +22,7 @@ Array = np.ndarray
 
 
 def log_evidence(m, start=()) -> float | None:
-    return laplace(Assembly([m]), optimum(m, start), 0)
+    return mode_evidence(Assembly([m]), optimum(m, start), 0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -90,7 +90,7 @@ def test_a_linear_gaussian_trajectory_has_its_dense_integral():
         eta = hypotheses[0].plan.positions[1:, axis]
         expected += multivariate_normal(mean, K + h * np.eye(len(t))).logpdf(eta)
         expected += 0.5 * len(t) * np.log(2 * np.pi * h)
-    assert laplace(assembly, solution, 0) == pytest.approx(expected, abs=1e-8)
+    assert mode_evidence(assembly, solution, 0) == pytest.approx(expected, abs=1e-8)
 
 
 def importance(
@@ -131,7 +131,7 @@ def test_laplace_agrees_with_importance_sampling_beside_a_person(distance):
     )
     solution = optimum(m, (0.0, distance, 0.0))
     log_z, sigma = importance(Assembly([m]), solution.state, 0, 200_000, seed=0)
-    value = laplace(Assembly([m]), solution, 0)
+    value = mode_evidence(Assembly([m]), solution, 0)
     assert sigma < 0.002
     assert value == pytest.approx(log_z, abs=3 * sigma + 0.003)  # what is not Gaussian in it
     assert log_z < -0.03
@@ -151,7 +151,7 @@ def test_laplace_agrees_with_importance_sampling_on_a_trajectory(crowd):
     solution = SecondOrder().solve(assembly, X[:1], which[:1])[0]
     log_z, sigma = importance(assembly, solution.state, 0, 40_000, seed=1, wide=1.1)
     assert sigma < 0.05
-    value = laplace(assembly, solution, 0)
+    value = mode_evidence(assembly, solution, 0)
     # Laplace is good to a few hundredths of a nat here; a wrong determinant or normaliser is
     # off by nats, and the Gauss–Newton Hessian by more than the tolerance.
     assert value == pytest.approx(log_z, abs=3 * sigma + 0.05)

@@ -1,0 +1,246 @@
+"""Gaussians and Student t over whole trajectories, by the Cholesky factor of their precision.
+
+The precision of a Markov prior is block-tridiagonal, so a draw costs one triangular solve, and
+fixed states (known without error) never move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from fgplan.assembly import Assembly, Quadratic
+from fgplan.block_tridiagonal import Factor, System, factorize
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Generator = np.random.Generator
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    r"""N(mean, H⁻¹) over the free coordinates of a trajectory.
+
+    Args:
+        mean: Shape (S, D).
+        system: H, with unit curvature where a state is held.
+        factor: Its Cholesky factor L Lᵀ.
+        free: Which coordinates are random, shape (S, D).
+    """
+
+    mean: Array
+    system: System
+    factor: Factor
+    free: NDArray[np.bool_]
+
+    @property
+    def dimension(self) -> int:
+        """Number of random coordinates."""
+        return int(self.free.sum())
+
+    @cached_property
+    def log_volume(self) -> float:
+        """log ∫ exp(−½ (x − mean)ᵀ H (x − mean)) dx = (d/2) log 2π − ½ log det H."""
+        return 0.5 * self.dimension * float(np.log(2 * np.pi)) - 0.5 * self.factor.log_determinant
+
+    def noise(self, rng: Generator, count: int) -> Array:
+        """Standard normal numbers, 0 where a state is held, shape (N, S, D)."""
+        return rng.standard_normal((count, *self.mean.shape)) * self.free
+
+    def draw(self, rng: Generator, count: int) -> Array:
+        """Independent draws, shape (N, S, D)."""
+        return self.mean + self.factor.backward(self.noise(rng, count))
+
+    def distance2(self, X: Array) -> Array:
+        """Squared Mahalanobis distance from the mean, shape (N,)."""
+        d = (X - self.mean) * self.free
+        return np.asarray(np.einsum("nsd,nsd->n", d, self.system.times(d)))
+
+    def log_density(self, X: Array) -> Array:
+        """Normalised, shape (N,)."""
+        return np.asarray(-0.5 * self.distance2(X) - self.log_volume)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """H⁻¹ on the flattened trajectory, 0 where a state is held, shape (S·D, S·D)."""
+        size = self.mean.size
+        unit = np.eye(size)[self.free.ravel()].reshape(-1, *self.mean.shape)
+        root = self.factor.backward(unit).reshape(-1, size)
+        return np.asarray(root.T @ root)
+
+
+@dataclass(frozen=True, eq=False)
+class Blend:
+    r"""Σ_j share_j · t_ν(mean_j, H_j⁻¹): a proposal; ν = inf is the Gaussian.
+
+    Args:
+        parts: The Gaussians.
+        shares: Positive, they sum to 1.
+        dof: ν of each; the tails of a Gaussian are too light to propose from.
+    """
+
+    parts: tuple[Gaussian, ...]
+    shares: Array
+    dof: tuple[float, ...]
+
+    def draw(self, rng: Generator, count: int) -> Array:
+        """Independent draws, shape (N, S, D)."""
+        part = rng.choice(len(self.parts), size=count, p=self.shares)
+        X = np.empty((count, *self.parts[0].mean.shape))
+        for j, (gaussian, dof) in enumerate(zip(self.parts, self.dof, strict=True)):
+            rows = np.flatnonzero(part == j)
+            if len(rows):
+                step = gaussian.draw(rng, len(rows)) - gaussian.mean
+                if np.isfinite(dof):
+                    step /= np.sqrt(rng.chisquare(dof, len(rows)) / dof)[:, None, None]
+                X[rows] = gaussian.mean + step
+        return X
+
+    def log_densities(self, X: Array) -> Array:
+        """log(share_j · density_j), shape (N, J)."""
+        columns = [
+            np.log(share) + _log_t(gaussian, X, dof)
+            for gaussian, share, dof in zip(self.parts, self.shares, self.dof, strict=True)
+        ]
+        return np.stack(columns, axis=-1)
+
+    def log_density(self, X: Array) -> Array:
+        """Normalised, shape (N,)."""
+        return np.asarray(np.logaddexp.reduce(self.log_densities(X), axis=-1))
+
+
+def _log_t(gaussian: Gaussian, X: Array, dof: float) -> Array:
+    if not np.isfinite(dof):
+        return gaussian.log_density(X)
+    d = gaussian.dimension
+    normaliser = gammaln((dof + d) / 2) - gammaln(dof / 2) - 0.5 * d * np.log(dof / 2)
+    tail = -0.5 * (dof + d) * np.log1p(gaussian.distance2(X) / dof)
+    return np.asarray(normaliser - gaussian.log_volume + tail)
+
+
+def linear(assembly: Assembly, which: int) -> Gaussian:
+    """The linear-Gaussian part of the density: GP priors, couplings and data of a hypothesis.
+
+    Raises:
+        ValueError: that part alone does not fix all variables.
+    """
+    rows = np.array([which])
+    diagonal, upper = assembly.linear_hessian(rows)
+    return _from_slope(assembly, which, diagonal[0], upper[0], assembly.gradient[which], "linear")
+
+
+def prior(assembly: Assembly, which: int) -> Gaussian:
+    """The normalised densities of a hypothesis alone: GP priors and data, no coupling.
+
+    Raises:
+        ValueError: that part alone does not fix all variables, as for a level without a prior of
+            its own.
+    """
+    model = assembly.models[which]
+    S, D = model.reference.shape
+    diagonal, upper = np.zeros((S, D, D)), np.zeros((S - 1, D, D))
+    slope = np.zeros((S, D))
+    for wired, residual in assembly.linear_terms(which):
+        if residual.log_normalizer == 0.0:  # a potential, which the density leaves unnormalised
+            continue
+        part = residual.gauss_newton(*wired.variables(model.reference))
+        wired.add_gradient(part.gradient, slope)
+        wired.add_hessian(part.hessian, diagonal, upper)
+    return _from_slope(assembly, which, diagonal, upper, slope, "prior")
+
+
+def _from_slope(
+    assembly: Assembly, which: int, diagonal: Array, upper: Array, slope: Array, name: str
+) -> Gaussian:
+    """From the gradient at the reference and the Hessian of a quadratic energy."""
+    # hold_fixed works on leading axes of one batch.
+    assembly.hold_fixed(diagonal[None], upper[None])
+    system = System(diagonal, upper)
+    factor = factorize(*system)
+    if factor is None:
+        raise ValueError(f"the {name} part of the density does not fix all of its variables")
+    step = factor.solve(-slope * assembly.free)
+    return Gaussian(assembly.reference[which] + step, system, factor, assembly.free)
+
+
+def at_mode(assembly: Assembly, state: Array, which: int) -> Gaussian | None:
+    """Laplace's Gaussian: the true Hessian at a local optimum; None where it is not one."""
+    quadratic = assembly.expand(state[None], np.array([which]))
+    _, system = next(quadratic.systems(np.zeros(1, dtype=np.intp)))
+    factor = factorize(*system)
+    return None if factor is None else Gaussian(state, system, factor, assembly.free)
+
+
+def average_curvature(assembly: Assembly, X: Array, which: int) -> Gaussian:
+    """N(mean of X, (mean Gauss–Newton Hessian over X)⁻¹): positive definite where `linear` is.
+
+    Args:
+        assembly: The density.
+        X: States, shape (N, S, D).
+        which: The hypothesis.
+
+    Raises:
+        ValueError: the mean is not positive definite or not finite.
+    """
+    quadratic: Quadratic = assembly.gauss_newton(X, np.full(len(X), which))
+    total: System | None = None
+    for n, (_, system) in enumerate(quadratic.systems(np.arange(len(X)))):
+        total = system if total is None else total.mixed(system, 1 / (n + 1))
+    factor = None if total is None else factorize(*total)
+    if total is None or factor is None:
+        raise ValueError("the mean curvature is not positive definite")
+    return Gaussian(X.mean(axis=0), total, factor, assembly.free)
+
+
+def markov_fit(X: Array, free: NDArray[np.bool_]) -> Gaussian | None:
+    r"""The Gaussian with the mean of X and its covariances within and between neighbouring steps,
+    which of all such Gaussians has the largest entropy: its precision is block-tridiagonal,
+
+    H = Σ_k Σ_{k,k+1}⁻¹ − Σ_{0<k<S−1} Σ_k⁻¹  (each on its own places).
+
+    Args:
+        X: Draws, shape (N, S, D); N well above 2 D.
+        free: Which coordinates are random; a step is free or held as a whole variable.
+
+    Returns:
+        None where there are too few draws.
+
+    Reference:
+        Dempster, Biometrics 1972, on covariance selection.
+    """
+    N, S, D = X.shape
+    mean = X.mean(axis=0)
+    d = X - mean
+    diagonal, upper = np.zeros((S, D, D)), np.zeros((S - 1, D, D))
+    held = [np.diag((~free[k]).astype(float)) for k in range(S)]
+    try:
+        for k in range(S):
+            single = np.einsum("ni,nj->ij", d[:, k], d[:, k]) / N + held[k]
+            if S == 1 or 0 < k < S - 1:
+                diagonal[k] += (1.0 if S == 1 else -1.0) * np.linalg.inv(single)
+            if k + 1 < S:
+                two = d[:, k : k + 2].reshape(N, 2 * D)
+                pair = np.einsum("ni,nj->ij", two, two, optimize=True) / N
+                pair[:D, :D] += held[k]
+                pair[D:, D:] += held[k + 1]
+                inverse = np.linalg.inv(pair)
+                diagonal[k] += inverse[:D, :D]
+                diagonal[k + 1] += inverse[D:, D:]
+                upper[k] += inverse[:D, D:]
+    except np.linalg.LinAlgError:
+        return None
+    factor = factorize(diagonal, upper)
+    return None if factor is None else Gaussian(mean, System(diagonal, upper), factor, free)
+
+
+def blend(parts: Sequence[tuple[Gaussian, float, float]]) -> Blend:
+    """From (Gaussian, share, ν) triples; shares are rescaled to sum to 1."""
+    shares = np.array([share for _, share, _ in parts])
+    return Blend(
+        tuple(g for g, _, _ in parts), shares / shares.sum(), tuple(n for _, _, n in parts)
+    )

@@ -1,0 +1,192 @@
+"""Hamiltonian Monte Carlo with the density's own gradient, in whitened coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.assembly import Assembly
+from fgplan.inference.base import Inferred, Progress, Seed, tell
+from fgplan.inference.chains import Recorder, Target
+from fgplan.inference.gaussian import Gaussian, average_curvature, markov_fit
+from fgplan.solver import Solution
+
+Array = NDArray[np.float64]
+Generator = np.random.Generator
+
+DIVERGED = 1000.0
+"""An energy error from here on is a divergence [nats], as in Stan."""
+
+
+@dataclass(frozen=True)
+class HMC:
+    r"""Hamiltonian Monte Carlo: H(x, r) = energy(x) + ½‖r‖², ẋ = L⁻ᵀ r, ṙ = −L⁻¹ ∇energy.
+
+    L Lᵀ is the mass matrix: the mean Gauss–Newton Hessian over the starts, then the block-
+    tridiagonal precision with the moments of the chains so far. In these coordinates the density
+    is nearly isotropic, and one step size, found by dual averaging, serves all. The length of a
+    path is random, so that no period is met.
+
+    Every `jump_every` paths each chain also proposes a jump to an independent draw around the
+    optima, so that modes get their masses.
+
+    Args:
+        chains: Evaluated together.
+        draws: Kept of each chain.
+        warmup: Paths before, in which mass matrix and step are found.
+        target: Share of accepted paths that the step size aims at.
+        length: Mean length of a path, in posterior standard deviations.
+        most_leaps: Leapfrog steps a path at most.
+        jump_every: 0 for no jumps.
+
+    Raises:
+        ValueError: a count or share out of range.
+
+    Reference:
+        Neal, Handbook of Markov Chain Monte Carlo, 2011, ch. 5; Hoffman and Gelman, JMLR 2014, for
+        dual averaging.
+    """
+
+    chains: int = 16
+    draws: int = 1000
+    warmup: int = 300
+    target: float = 0.8
+    length: float = 1.6
+    most_leaps: int = 32
+    jump_every: int = 5
+    name: str = "hmc"
+
+    def __post_init__(self) -> None:
+        if self.chains < 2 or self.draws < 8 or self.warmup < 0 or self.most_leaps < 1:
+            raise ValueError(
+                "chains must be at least 2, draws 8, warmup 0 and most_leaps 1, got "
+                f"{self.chains}, {self.draws}, {self.warmup}, {self.most_leaps}"
+            )
+        if not (0 < self.target < 1 and self.length > 0):
+            raise ValueError(
+                "target must lie in (0, 1) and length be positive, got "
+                f"{self.target}, {self.length}"
+            )
+
+    def infer(
+        self,
+        assembly: Assembly,
+        which: int,
+        optima: Sequence[Solution],
+        seed: Seed = 0,
+        progress: Progress | None = None,
+    ) -> Inferred:
+        rng = np.random.default_rng(seed)
+        target = Target.of(assembly, which, optima)
+        record = Recorder()
+        X = target.starts(self.chains, rng)
+        paths = _Paths(target, average_curvature(assembly, X, which), X)
+        step = _DualAveraging(self.target)
+        total, seen = self.warmup + self.draws, list[Array]()
+        for i in range(total):
+            warm = i < self.warmup
+            if i in (self.warmup // 3, 2 * self.warmup // 3) and seen:
+                paths.mass = self._fit(assembly, seen) or paths.mass
+                step, seen = _DualAveraging(self.target, step.settled), []
+            size = step.trial if warm else step.settled
+            leaps = 1 + int(rng.uniform(0.5, 1.5) * self.length / size)
+            accepted = paths.follow(size * rng.uniform(0.8, 1.0), min(leaps, self.most_leaps), rng)
+            if warm:
+                step.learn(float(accepted.mean()))
+                seen.append(paths.X)
+            else:
+                record.accepted.append(float(accepted.mean()))
+            if self.jump_every and i % self.jump_every == self.jump_every - 1:
+                went = paths.jump(rng)
+                record.evaluated += self.chains
+                if not warm:
+                    record.jumps.append(float(went.mean()))
+            if not warm:
+                record.add(paths.X, paths.energy)
+            elif i == self.warmup - 1:
+                paths.divergences, paths.target = 0, target.adapted(seen)
+            if i % 10 == 9 or i + 1 == total:
+                tell(progress, self.name, i + 1, total)
+        record.divergences, record.differentiated = paths.divergences, paths.gradients
+        return record.result(self.name, target, rng, step.settled, "hmc")
+
+    def _fit(self, assembly: Assembly, seen: list[Array]) -> Gaussian | None:
+        """From deviations of each chain from its own mean: modes apart do not widen it."""
+        X = np.stack(seen[len(seen) // 3 :])
+        S, D = X.shape[-2:]
+        if X.shape[0] * X.shape[1] < 10 * 2 * D:
+            return None
+        return markov_fit((X - X.mean(axis=0)).reshape(-1, S, D), assembly.free)
+
+
+class _Paths:
+    """Hamiltonian paths of all chains together."""
+
+    def __init__(self, target: Target, mass: Gaussian, X: Array) -> None:
+        self.target, self.mass, self.X = target, mass, X
+        self.energy, self.slope = target.slope(X)
+        self.divergences, self.gradients = 0, len(X)
+
+    def follow(self, step: float, leaps: int, rng: Generator) -> Array:
+        """One path of every chain by leapfrog; returns the probability of acceptance of each."""
+        L, mass = self.mass.factor, self.mass
+        r = mass.noise(rng, len(self.X))
+        before = self.energy + 0.5 * np.einsum("nsd,nsd->n", r, r)
+        X, slope = self.X, self.slope
+        with np.errstate(all="ignore"):  # a path that diverges is refused below
+            r = r - 0.5 * step * L.forward(slope)
+            for leap in range(leaps):
+                X = X + step * L.backward(r)
+                energy, slope = self.target.slope(X)
+                r = r - (0.5 if leap == leaps - 1 else 1.0) * step * L.forward(slope)
+            error = energy + 0.5 * np.einsum("nsd,nsd->n", r, r) - before
+        self.gradients += leaps * len(X)
+        error = np.where(np.isfinite(error), error, np.inf)
+        self.divergences += int(np.count_nonzero(error > DIVERGED))
+        probability = np.exp(-np.maximum(error, 0.0))
+        accepted = rng.random(len(X)) < probability
+        self._move(X, energy, slope, accepted)
+        return np.asarray(probability)
+
+    def jump(self, rng: Generator) -> NDArray[np.bool_]:
+        """Jumps between modes; returns which were accepted."""
+        X, _, accepted = self.target.jump(self.X, self.energy, rng)
+        if accepted.any():
+            energy, slope = self.target.slope(X)
+            self.gradients += len(X)
+            self._move(X, energy, slope, accepted)
+        return accepted
+
+    def _move(self, X: Array, energy: Array, slope: Array, accepted: NDArray[np.bool_]) -> None:
+        keep = accepted[:, None, None]
+        self.X = np.where(keep, X, self.X)
+        self.slope = np.where(keep, slope, self.slope)
+        self.energy = np.where(accepted, energy, self.energy)
+
+
+class _DualAveraging:
+    """Step size whose mean acceptance is the target (Hoffman and Gelman 2014, section 3.2)."""
+
+    def __init__(self, target: float, first: float = 0.25) -> None:
+        self._target, self._anchor = target, np.log(10 * first)
+        self._log, self._smooth, self._gap, self._count = np.log(first), np.log(first), 0.0, 0
+
+    def learn(self, acceptance: float) -> None:
+        self._count += 1
+        t = self._count
+        self._gap += (self._target - acceptance - self._gap) / (t + 10)
+        self._log = float(np.clip(self._anchor - np.sqrt(t) / 0.05 * self._gap, -9.0, 1.0))
+        self._smooth += t**-0.75 * (self._log - self._smooth)
+
+    @property
+    def trial(self) -> float:
+        """Step size to learn with."""
+        return float(np.exp(self._log))
+
+    @property
+    def settled(self) -> float:
+        """Step size to keep."""
+        return float(np.exp(self._smooth))

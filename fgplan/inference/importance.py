@@ -1,0 +1,175 @@
+"""Importance sampling: from the robot's prior, as the paper reads the ROS stack, or around the
+optima."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.assembly import Assembly
+from fgplan.inference.base import (
+    HEAVY_TAIL,
+    LOW_ESS,
+    Diagnostics,
+    Inferred,
+    Progress,
+    Seed,
+    tell,
+)
+from fgplan.inference.diagnostics import kish, pareto_shape
+from fgplan.inference.gaussian import Blend, blend, linear, prior
+from fgplan.inference.modes import proposal
+from fgplan.solver import Solution
+
+Array = NDArray[np.float64]
+
+Source = Literal["laplace", "linear", "prior"]
+
+
+@dataclass(frozen=True)
+class Importance:
+    r"""Weighted draws x_n ~ q, w_n ∝ p(x_n)/q(x_n), log Z = log mean of the weights.
+
+    Proposals:
+
+    - "laplace": Student t around every optimum with the true Hessian, and a share of the linear
+      part (`modes.proposal`).
+    - "linear": the linear-Gaussian part, couplings included.
+    - "prior": the normalised densities alone, p(f^R) p(f) p(η). The weights are then ψ alone,
+      which is right for every expectation; the paper's choice, the sample with the largest ψ·p,
+      is `Inferred.best`.
+
+    Args:
+        draws: How many.
+        source: Where they come from.
+        dof: ν of the Student t around the optima.
+        defensive: Share of the linear part in "laplace".
+        batch: Draws evaluated at once.
+
+    Raises:
+        ValueError: fewer than 2 draws, or a share or ν out of range.
+
+    Reference:
+        Trautman, arXiv 1611.08767, section 1.1; Owen and Zhou, JASA 2000.
+    """
+
+    draws: int = 8192
+    source: Source = "laplace"
+    dof: float = 30.0
+    defensive: float = 0.1
+    batch: int = 512
+    name: str = "importance"
+
+    def __post_init__(self) -> None:
+        if self.draws < 2 or self.batch < 1:
+            raise ValueError(f"draws and batch must be positive, got {self.draws}, {self.batch}")
+        if not (0 < self.defensive < 1 and self.dof > 0):
+            raise ValueError(
+                "defensive must lie in (0, 1) and dof be positive, got "
+                f"{self.defensive}, {self.dof}"
+            )
+
+    def infer(
+        self,
+        assembly: Assembly,
+        which: int,
+        optima: Sequence[Solution],
+        seed: Seed = 0,
+        progress: Progress | None = None,
+    ) -> Inferred:
+        rng = np.random.default_rng(seed)
+        q = self._proposal(assembly, which, optima)
+        X, log_weights, energies = weigh(
+            assembly, which, q, self.draws, rng, self.batch, progress, self.name
+        )
+        return weighted(self.name, X, log_weights, energies, optima)
+
+    def _proposal(self, assembly: Assembly, which: int, optima: Sequence[Solution]) -> Blend:
+        if self.source == "laplace":
+            return proposal(assembly, which, optima, self.dof, self.defensive)
+        whole = linear(assembly, which) if self.source == "linear" else prior(assembly, which)
+        return blend([(whole, 1.0, float("inf"))])
+
+
+def weigh(
+    assembly: Assembly,
+    which: int,
+    q: Blend,
+    draws: int,
+    rng: np.random.Generator,
+    batch: int = 512,
+    progress: Progress | None = None,
+    what: str = "importance",
+) -> tuple[Array, Array, Array]:
+    """Draws from q with log p/q, p carrying its normalisers, and their energies."""
+    X = np.empty((draws, *assembly.reference.shape[1:]))
+    log_weights, energies = np.empty(draws), np.empty(draws)
+    for at in range(0, draws, batch):
+        rows = slice(at, min(at + batch, draws))
+        X[rows] = q.draw(rng, rows.stop - rows.start)
+        energy = assembly.energy(X[rows], np.asarray(which))
+        energies[rows] = np.where(np.isfinite(energy), energy, np.inf)
+        log_weights[rows] = -energies[rows] - q.log_density(X[rows])
+        tell(progress, what, rows.stop, draws)
+    return X, log_weights + assembly.models[which].log_normalizer, energies
+
+
+def log_mean(log_weights: Array) -> tuple[float, float]:
+    """log of the mean of the weights and its standard error, to first order."""
+    N, top = len(log_weights), float(log_weights.max())
+    if not np.isfinite(top):
+        return -np.inf, np.inf
+    w = np.exp(log_weights - top)
+    return top + float(np.log(w.mean())), float(w.std(ddof=1) / w.mean() / np.sqrt(N))
+
+
+def weighted(
+    name: str, X: Array, log_weights: Array, energies: Array, optima: Sequence[Solution]
+) -> Inferred:
+    """The result of weighted draws."""
+    N = len(X)
+    log_z, error = log_mean(log_weights)
+    ess, tail = kish(log_weights), pareto_shape(log_weights)
+    possible = np.isfinite(log_z)
+    weights = np.exp(log_weights - np.logaddexp.reduce(log_weights)) if possible else None
+    warnings = distrust(ess, tail)
+    warnings += deeper(energies, optima)
+    return Inferred(
+        method=name,
+        states=X,
+        weights=np.full(N, 1 / N) if weights is None else weights,
+        energies=energies,
+        log_evidence=log_z if possible else None,
+        log_evidence_error=error if possible else None,
+        diagnostics=Diagnostics(
+            draws=N,
+            ess=ess,
+            acceptance=ess / N,
+            mcse=float(1 / np.sqrt(ess)) if ess > 0 else None,
+            pareto=tail,
+            energies=N,
+        ),
+        warnings=tuple(warnings),
+    )
+
+
+def distrust(ess: float, tail: float) -> list[str]:
+    """Why weighted draws cannot be trusted."""
+    warnings = []
+    if ess < LOW_ESS:
+        warnings.append(f"effective sample size {ess:.1f} is below {LOW_ESS:g}")
+    if tail > HEAVY_TAIL:
+        warnings.append(f"importance weights have a heavy tail (k = {tail:.2f})")
+    return warnings
+
+
+def deeper(energies: Array, optima: Sequence[Solution]) -> list[str]:
+    """A sample that no optimum found lies above: a mode was missed."""
+    gap = min(o.energy for o in optima) - float(energies.min())
+    if gap > 1e-3:
+        return [f"a sample is {gap:.2f} nats more probable than every optimum found"]
+    return []

@@ -1,0 +1,81 @@
+"""The distinct optima of a hypothesis as a mixture: where samplers start and propose from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.assembly import Assembly
+from fgplan.inference.gaussian import Blend, Gaussian, at_mode, average_curvature, blend, linear
+from fgplan.solver import Solution
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 20.0
+"""An optimum this many nats above the best adds nothing to the evidence."""
+
+
+class Mode(NamedTuple):
+    """A local optimum, Laplace's Gaussian there, and the log of its mass."""
+
+    solution: Solution
+    gaussian: Gaussian
+    log_mass: float
+
+
+def modes(assembly: Assembly, which: int, optima: Sequence[Solution]) -> tuple[Mode, ...]:
+    r"""Every optimum that matters and is one: log mass = log p(x*) + (d/2) log 2π − ½ log det H.
+
+    Args:
+        assembly: The density.
+        which: The hypothesis.
+        optima: Its distinct local optima; those without a positive definite Hessian are left out,
+            and those `NEGLIGIBLE` nats above the best.
+    """
+    lowest = min(o.energy for o in optima)
+    found = []
+    for optimum in optima:
+        if not optimum.energy < lowest + NEGLIGIBLE:
+            continue
+        gaussian = at_mode(assembly, optimum.state, which)
+        if gaussian is not None:
+            log_density = assembly.models[which].log_normalizer - optimum.energy
+            found.append(Mode(optimum, gaussian, log_density + gaussian.log_volume))
+    return tuple(found)
+
+
+def proposal(
+    assembly: Assembly,
+    which: int,
+    optima: Sequence[Solution],
+    dof: float,
+    defensive: float,
+) -> Blend:
+    r"""(1 − defensive) Σ_j mass_j t_ν(x_j*, H_j) + defensive N(linear-Gaussian part).
+
+    Potentials have energies that are never negative, so that the density lies below its linear
+    part and importance weights below Z_linear/defensive: their variance is finite whatever the
+    modes miss.
+
+    Where no optimum has a positive definite Hessian, the Gauss–Newton one stands in.
+
+    Reference:
+        Hesterberg, Technometrics 1995, on defensive mixtures.
+    """
+    whole = linear(assembly, which)
+    found = modes(assembly, which, optima)
+    if found:
+        log_mass = np.array([mode.log_mass for mode in found])
+        share = np.exp(log_mass - np.logaddexp.reduce(log_mass))
+        parts = [
+            (mode.gaussian, (1 - defensive) * max(s, 1e-6), dof)
+            for mode, s in zip(found, share.tolist(), strict=True)
+        ]
+    else:
+        best = min(optima, key=lambda o: o.energy)
+        stand_in = average_curvature(assembly, best.state[None], which)
+        parts = [(stand_in, 1 - defensive, dof)]
+    return blend([*parts, (whole, defensive, float("inf"))])
