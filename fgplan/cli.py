@@ -21,12 +21,14 @@ import typer
 
 from fgplan import selection
 from fgplan.errors import FgplanError, NoPlan
+from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace, Progress
 from fgplan.mixture import Component, Mixture
 from fgplan.planner import plan
 from fgplan.scenario import Scenario
 from fgplan.solver import GtsamLM, SecondOrder, Solver
 
 if TYPE_CHECKING:
+    from rich.progress import TaskID
     from rich.table import Table
 
 WIDTH = 120
@@ -76,6 +78,24 @@ class CrowdName(StrEnum):
     PREDICTED = "predicted"
 
 
+class InferenceName(StrEnum):
+    """What gives each hypothesis its evidence."""
+
+    MAP = "map"
+    LAPLACE = "laplace"
+    IMPORTANCE = "importance"
+    MCMC = "mcmc"
+    HMC = "hmc"
+
+
+METHODS: dict[InferenceName | None, Inference] = {
+    None: Laplace(check=0),
+    InferenceName.MAP: MAP(),
+    InferenceName.LAPLACE: Laplace(),
+    InferenceName.IMPORTANCE: Importance(),
+    InferenceName.MCMC: EllipticalSlice(),
+    InferenceName.HMC: HMC(),
+}
 SOLVERS: dict[SolverName, Solver] = {
     SolverName.SECOND_ORDER: SecondOrder(),
     SolverName.GTSAM: GtsamLM(),
@@ -105,19 +125,30 @@ def plan_command(
     recording: Annotated[Path | None, typer.Option(help="Folder of recorded people.")] = None,
     case: Annotated[str | None, typer.Option(help="Case of the recordings.")] = None,
     at: Annotated[float, typer.Option(help="Seconds after the start of the case.")] = 0.0,
+    inference: Annotated[
+        InferenceName | None,
+        typer.Option(help="What weighs hypotheses by mass (default: laplace, unchecked)."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of a sampler.", min=0)] = 0,
 ) -> None:
     """Plan one scenario, or one moment of a recording: table, plan.json and plan.png."""
     with _reported():
         asked = _asked(scenario, recording, case, at)
         if crowd is not None:
             asked = asked.replace(crowd=crowd.value)
-        mixture = plan(asked, solver=SOLVERS[solver], select=RULES[select])
+        with _progress() as progress:
+            mixture = plan(
+                asked, solver=SOLVERS[solver], select=RULES[select],
+                inference=METHODS[inference], seed=seed, progress=progress,
+            )  # fmt: skip
     if json_to == "-":
         print(_json(mixture))
         for line in _notes(mixture):
             print(line, file=sys.stderr)
     else:
         _show(mixture)
+        if inference is not None:
+            print("\n".join(_inferences(mixture)))
     written = []
     if json_to not in (None, "-"):
         written.append(_write(Path(str(json_to)), _json(mixture)))
@@ -212,6 +243,41 @@ def _reported() -> Iterator[None]:
         yield
     except FgplanError as error:
         _fail(str(error), 1 if isinstance(error, NoPlan) else 2)
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A bar on a terminal's standard error for what takes long; it goes when all is done."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    console = Console(stderr=True)
+    with Bars(console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done, visible=done < total)
+
+        yield tell
+
+
+def _inferences(mixture: Mixture) -> Iterator[str]:
+    """What the inference method says of each hypothesis."""
+    for c in mixture.components:
+        if c.inferred is None:
+            continue
+        result, d = c.inferred, c.inferred.diagnostics
+        evidence = "none" if result.log_evidence is None else f"{result.log_evidence:.3f}"
+        error = result.log_evidence_error
+        parts = [f"log evidence {evidence}" + ("" if error is None else f" ± {error:.3f}")]
+        if d.ess is not None:
+            drawn = d.draws if d.chains else d.energies
+            parts.append(f"{d.ess:.0f} effective of {drawn} draws")
+        if d.rhat is not None:
+            parts.append(f"split R-hat {d.rhat:.3f}")
+        yield f"inference {c.label} by {result.method}: {', '.join(parts)}"
 
 
 def _fail(message: str, code: int = 2) -> NoReturn:
