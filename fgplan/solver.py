@@ -79,7 +79,7 @@ class Solver(Protocol):
 class SecondOrder:
     """Levenberg–Marquardt with the true Hessian on a block-tridiagonal factorisation.
 
-    A few Gauss–Newton steps, then Newton. Where the Hessian is not positive definite it is damped
+    A Gauss–Newton step, then Newton. Where the Hessian is not positive definite it is damped
     by the Gauss–Newton one, H + λ H_GN, λ growing from 0 to infinity (Gauss–Newton itself). All
     starts are evaluated together.
 
@@ -91,7 +91,7 @@ class SecondOrder:
             [nats] go to one optimum: the worse one is not followed further. 0 follows all.
     """
 
-    warmup: int = 3
+    warmup: int = 1
     max_iterations: int = 100
     tolerance: float = 1e-9
     meeting: float = 0.05
