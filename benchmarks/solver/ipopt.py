@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from benchmarks.solver.problem import Problem
 from factors.interaction import Interaction
-from fgplan.model import LIMIT_SHARE
 from fgplan.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -25,6 +24,8 @@ Index = NDArray[np.intp]
 
 SMALL = 1e-6
 """Smooths a norm at zero, as in `factors.hinge` [m, or m/s]."""
+LIMIT_SHARE = 0.95
+"""Share of a limit at which its hinge begins."""
 OPTIONS = {
     "print_time": False,
     "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_iter": 500},
