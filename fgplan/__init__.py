@@ -4,20 +4,25 @@ from fgplan.errors import FgplanError, MapError, NoPlan, NoRoute, ScenarioError
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.occupancy import OccupancyGrid
 from fgplan.planner import plan
+from fgplan.robots import Holonomic, RobotModel, Twist
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.solver import GtsamLM, SecondOrder
 from fgplan.trajectory import Trajectory
+from fgplan.wheeled import CarLike, DifferentialDrive
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Action",
+    "CarLike",
     "Component",
     "Density",
+    "DifferentialDrive",
     "FgplanError",
     "FieldOfView",
     "GivenPlan",
     "GtsamLM",
+    "Holonomic",
     "Level",
     "MapError",
     "Mixture",
@@ -25,10 +30,12 @@ __all__ = [
     "NoRoute",
     "OccupancyGrid",
     "Robot",
+    "RobotModel",
     "Scenario",
     "ScenarioError",
     "SecondOrder",
     "Track",
     "Trajectory",
+    "Twist",
     "plan",
 ]

@@ -65,7 +65,13 @@ class Solving:
     def model(self) -> Model:
         return self.assembly.models[self.which]
 
-    def trajectory(self, solution: Solution, name: str) -> Trajectory:
+    def robot(self, solution: Solution) -> Trajectory:
+        """f^R in the plane."""
+        states = solution.state[:, self.model.columns["robot"]]
+        return self.scenario.robot.model.trajectory(self.model.times, states)
+
+    def level(self, solution: Solution, name: str) -> Trajectory:
+        """A level that is a variable."""
         return Trajectory.from_states(self.model.times, solution.state[:, self.model.columns[name]])
 
     def people(self, solution: Solution) -> People:
@@ -95,12 +101,12 @@ def component_of(
     best, result = _first_feasible(solving, optima)
     solution = best.solution
     scenario, model = solving.scenario, solving.model
-    robot = solving.trajectory(solution, "robot")
+    robot = solving.robot(solution)
     people = solving.people(solution)
     levels = {}
     for index, level in enumerate(scenario.levels):
         if f"level {index}" in model.columns:
-            levels[level.name] = solving.trajectory(solution, f"level {index}")
+            levels[level.name] = solving.level(solution, f"level {index}")
         elif hypothesis.plan is not None:
             levels[level.name] = hypothesis.plan
     names = solving.belief.names
@@ -147,7 +153,7 @@ def _first_feasible(solving: Solving, optima: list[Found]) -> tuple[Found, Check
     """The best optimum that passes the hard check, else the best."""
     checked = []
     for optimum in optima:
-        robot = solving.trajectory(optimum.solution, "robot")
+        robot = solving.robot(optimum.solution)
         result = check(solving.scenario, robot, solving.people(optimum.solution))
         if result.feasible:
             return optimum, result

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgplan.robots import Twist
 from fgplan.safety import Check
 from fgplan.trajectory import Trajectory
 
@@ -87,6 +88,7 @@ class Action:
         time: When the state below is to be reached, from now [s].
         position: Shape (2,) [m].
         velocity: Shape (2,) [m/s].
+        twist: The same as a command in the robot's base frame.
         safe: Whether the trajectory behind it passed the hard check.
         reason: In words.
     """
@@ -95,6 +97,7 @@ class Action:
     time: float
     position: Array
     velocity: Array
+    twist: Twist
     safe: bool
     reason: str
 
@@ -145,6 +148,7 @@ class Mixture:
                 "time": action.time,
                 "position": action.position.tolist(),
                 "velocity": action.velocity.tolist(),
+                "twist": action.twist.to_dict(),
                 "safe": action.safe,
                 "reason": action.reason,
             },

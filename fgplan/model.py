@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from operator import attrgetter
 
 import gtsam
 import numpy as np
@@ -19,22 +20,21 @@ from factors.contact import Contact
 from factors.coupling import coupling, coupling_to
 from factors.gp_prior import GPPrior, gaussian, matern_first, matern_prior
 from factors.interaction import Interaction
-from factors.kinematics import AccelerationLimit, SpeedLimit
 from factors.obstacle import InterpolatedObstacle, Obstacle
 from factors.pairwise import CrowdPairs, PredictedPairs
 from factors.residual import Residual
 from fgplan import keys
-from fgplan.crowd import Belief
+from fgplan.crowd import Belief, heading
 from fgplan.gating import Gate, gate
 from fgplan.hypothesis import Hypothesis, Start
+from fgplan.robots import Piece
 from fgplan.scenario import Density, Level, Scenario
+from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
 OBSTACLE_SPACING = 0.25
 """Largest distance between two obstacle checks at full speed [m]."""
-LIMIT_SHARE = 0.95
-"""Share of a limit at which its hinge begins: an optimum leans on a hinge, the check does not."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class Model:
         own: Terms of this hypothesis: its plan.
         fixed: States known without error: (variable, step) → value.
         reference: A typical trajectory of all variables, shape (T + 1, D).
+        lift: From a guess of the robot's trajectory to its states.
         gate: Who is planned and who is held.
         people: Names of those in the crowd variable, in its order.
         extra: The user's own GTSAM factors.
@@ -81,6 +82,7 @@ class Model:
     own: tuple[Term, ...]
     fixed: dict[tuple[str, int], Array]
     reference: Array
+    lift: Callable[[Trajectory], Array] = attrgetter("states")
     gate: Gate | None = None
     people: tuple[str, ...] = ()
     extra: tuple[gtsam.NonlinearFactor, ...] = ()
@@ -144,7 +146,7 @@ class Model:
     def initial(self, start: Start) -> Array:
         """The state to start from: the guess, and everything else as it is expected."""
         state = self.reference.copy()
-        state[:, self.columns["robot"]] = start.robot.states
+        state[:, self.columns["robot"]] = self.lift(start.robot)
         n = len(self.people)
         for i, name in enumerate(self.people):
             if name in start.crowd:
@@ -178,25 +180,29 @@ def build(
     gate_ = gate(scenario, belief, hypotheses)
     planned, held = belief.select(gate_.planned), belief.select(gate_.held)
     T = scenario.density.steps
-    robot = Variable("robot", 4, keys.robot)
+    vehicle = scenario.robot.model
+    now = vehicle.state(scenario.robot, heading(scenario))
+    lift = partial(vehicle.lift, scenario.robot, now)
+    robot = Variable("robot", vehicle.dim, keys.robot)
     crowd = (Variable("crowd", 4 * planned.count, keys.crowd),) if planned.count else ()
     shared = tuple(_shared_terms(scenario, planned, held, gate_))
     fixed = {}
     if scenario.robot.covariance is None:
-        fixed["robot", 0] = scenario.robot.state
+        fixed["robot", 0] = now
 
     models = []
     for hypothesis in hypotheses:
         levels = _level_variables(scenario.levels, hypothesis)
         variables = (*levels.values(), robot, *crowd)
         parts = [hypothesis.plan.states for _ in levels if hypothesis.plan is not None]
-        parts.append(hypothesis.starts[0].robot.states)
+        parts.append(lift(hypothesis.starts[0].robot))
         if planned.count:
             parts.append(_expected_crowd(planned, scenario.density.times))
         own = tuple(_hypothesis_terms(scenario, hypothesis, levels, T))
         reference, times = np.hstack(parts), scenario.density.times
+        names = planned.names
         models.append(
-            Model(times, variables, shared, own, fixed, reference, gate_, planned.names, extra)
+            Model(times, variables, shared, own, fixed, reference, lift, gate_, names, extra)
         )
     return tuple(models)
 
@@ -222,10 +228,9 @@ def _robot_prior(scenario: Scenario) -> Iterable[Term]:
     """p(f^R | z^R)."""
     d, robot = scenario.density, scenario.robot
     if robot.covariance is not None:
-        now = gaussian(robot.state, robot.covariance)
+        now = gaussian(robot.model.state(robot, heading(scenario)), robot.covariance)
         yield Term("robot now", now, (("robot", 0),), range(1))
-    prior = GPPrior(d.dt, d.Qc_robot * np.eye(2))
-    yield Term("robot prior", prior, (("robot", 0), ("robot", 1)), range(d.steps))
+    yield from _along(robot.model.prior(d), d.steps)
 
 
 def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
@@ -248,23 +253,26 @@ def _planned_people(scenario: Scenario, planned: Belief, gate_: Gate) -> Iterabl
     on, steps = (("robot", 0), ("crowd", 0)), range(d.steps + 1)
     if d.alpha > 0:
         interaction = Interaction(d.alpha, d.h_c, d.exponent)
-        yield Term("interaction", CrowdPairs(interaction, n, gate_.pairs), on, steps)
+        pairs = CrowdPairs(interaction, n, gate_.pairs, scenario.robot.model.dim)
+        yield Term("interaction", pairs, on, steps)
     if np.isfinite(d.contact_sigma):
         contact = _contact(scenario, planned)
-        yield Term("contact", CrowdPairs(contact, n, "robot"), on, steps)
+        pairs = CrowdPairs(contact, n, "robot", scenario.robot.model.dim)
+        yield Term("contact", pairs, on, steps)
 
 
 def _held_people(scenario: Scenario, held: Belief) -> Iterable[Term]:
     """The same with people held at their prediction: what is not known of them widens ψ_int."""
-    d = scenario.density
+    d, dim = scenario.density, scenario.robot.model.dim
     on, steps = (("robot", 0),), range(d.steps + 1)
     mean, covariance = held.predict(d.times)
     if d.alpha > 0:
         variance = np.trace(covariance[..., :2, :2], axis1=-2, axis2=-1) / 2
         interaction = Interaction(d.alpha, d.h_c, d.exponent, variance)
-        yield Term("interaction held", PredictedPairs(interaction, mean[..., :2]), on, steps)
+        pairs = PredictedPairs(interaction, mean[..., :2], dim)
+        yield Term("interaction held", pairs, on, steps)
     if np.isfinite(d.contact_sigma):
-        pairs = PredictedPairs(_contact(scenario, held), mean[..., :2])
+        pairs = PredictedPairs(_contact(scenario, held), mean[..., :2], dim)
         yield Term("contact held", pairs, on, steps)
 
 
@@ -281,25 +289,27 @@ def _obstacles(scenario: Scenario) -> Iterable[Term]:
         return
     field = scenario.grid.distance_field
     shape = (field, robot.radius, d.obstacle_margin, d.obstacle_sigma)
-    at_states = Obstacle(*shape, weight=d.exponent)
+    at_states = Obstacle(*shape, weight=d.exponent, dim=robot.model.dim)
     yield Term("obstacle", at_states, (("robot", 0),), range(1, d.steps + 1))
     between = int(np.ceil(robot.max_speed * d.dt / OBSTACLE_SPACING)) - 1
     if between > 0:
         checks = InterpolatedObstacle(*shape, d.dt, between, weight=d.exponent)
-        yield Term("obstacle between", checks, (("robot", 0), ("robot", 1)), range(d.steps))
+        on = (("robot", 0), ("robot", 1))
+        yield Term("obstacle between", robot.model.on_plane(checks), on, range(d.steps))
 
 
 def _limits(scenario: Scenario) -> Iterable[Term]:
     """What the robot can do."""
     d, robot = scenario.density, scenario.robot
-    if not np.isfinite(d.limit_sigma):
-        return
-    speed = SpeedLimit(LIMIT_SHARE * robot.max_speed, d.limit_sigma, weight=d.exponent)
-    yield Term("speed limit", speed, (("robot", 0),), range(1, d.steps + 1))
-    acceleration = AccelerationLimit(
-        LIMIT_SHARE * robot.max_acceleration, d.limit_sigma, d.dt, weight=d.exponent
-    )
-    yield Term("acceleration limit", acceleration, (("robot", 0), ("robot", 1)), range(d.steps))
+    if np.isfinite(d.limit_sigma):
+        yield from _along(robot.model.limits(robot, d), d.steps)
+
+
+def _along(pieces: Iterable[Piece], T: int) -> Iterable[Term]:
+    """What a robot model says, at all steps of the horizon."""
+    for name, residual, offsets, first in pieces:
+        on = tuple(("robot", offset) for offset in offsets)
+        yield Term(name, residual, on, range(first, T + 1 - max(offsets)))
 
 
 def _level_variables(levels: Sequence[Level], hypothesis: Hypothesis) -> dict[int, Variable]:
@@ -337,11 +347,12 @@ def _hypothesis_terms(
         if below is None:
             continue
         label = f"{level.name} coupling"
+        size = scenario.robot.model.dim if below == "robot" else 4
         if index in variables:
-            psi = coupling(level.h, weight=d.exponent)
+            psi = coupling(level.h, (4, size), weight=d.exponent)
             yield Term(label, psi, ((variables[index].name, 0), (below, 0)), steps)
         else:
-            psi = coupling_to(mean[:, :2], level.h, weight=d.exponent)
+            psi = coupling_to(mean[:, :2], level.h, size, weight=d.exponent)
             yield Term(label, psi, ((below, 0),), steps)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fgplan import selection
 from fgplan.assembly import Assembly
 from fgplan.components import Solving, component_of, merge
-from fgplan.crowd import Belief, believe, seen
+from fgplan.crowd import Belief, believe, heading, seen
 from fgplan.errors import NoPlan
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
@@ -134,7 +134,8 @@ def _decide(
         selected: int | None = safe[0]
         best = components[safe[0]]
         trajectory = best.robot
-        action = _action("follow", trajectory, True, f"hypothesis {best.label}, {best.start}")
+        reason = f"hypothesis {best.label}, {best.start}"
+        action = _action(scenario, "follow", trajectory, True, reason)
     else:
         selected = None
         predicted = People(
@@ -144,7 +145,8 @@ def _decide(
         why = "; ".join(f"{c.label}: {', '.join(c.check.problems)}" for c in components)
         if not result.feasible:
             why += f"; and no stop is clear: {', '.join(result.problems)}"
-        action = _action("stop", trajectory, result.feasible, f"no hypothesis is safe ({why})")
+        reason = f"no hypothesis is safe ({why})"
+        action = _action(scenario, "stop", trajectory, result.feasible, reason)
     return Mixture(
         name=scenario.name,
         now=scenario.now,
@@ -159,12 +161,15 @@ def _decide(
     )
 
 
-def _action(kind: str, trajectory: Trajectory, safe: bool, reason: str) -> Action:
+def _action(
+    scenario: Scenario, kind: str, trajectory: Trajectory, safe: bool, reason: str
+) -> Action:
     return Action(
         kind,
         float(trajectory.times[1]),
         trajectory.positions[1],
         trajectory.velocities[1],
+        scenario.robot.model.twist(trajectory, 1, heading(scenario)),
         safe,
         reason,
     )

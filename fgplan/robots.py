@@ -53,6 +53,13 @@ class Twist:
     linear_y: float
     angular_z: float
 
+    def to_dict(self) -> dict[str, dict[str, float]]:
+        """As in geometry_msgs/Twist, without the components that a plane does not have."""
+        return {
+            "linear": {"x": self.linear_x, "y": self.linear_y},
+            "angular": {"z": self.angular_z},
+        }
+
 
 @runtime_checkable
 class RobotModel(Protocol):

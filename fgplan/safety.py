@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.scenario import Robot, Scenario
+from fgplan.crowd import heading
+from fgplan.scenario import Scenario
 from fgplan.trajectory import Trajectory, hermite
 
 Array = NDArray[np.float64]
@@ -86,13 +87,15 @@ def check(scenario: Scenario, robot: Trajectory, people: People) -> Check:
         if np.isfinite(wall_contact):
             problems.append(f"contact with an obstacle at {wall_contact:.2f} s")
 
-    problems += _beyond_limits(scenario.robot, robot)
+    problems += scenario.robot.model.problems(scenario.robot, robot)
     return Check(separation, clearance, min(person_contact, wall_contact), tuple(problems))
 
 
 def brake(scenario: Scenario, people: People) -> tuple[Trajectory, Check]:
     """The fastest stop that passes the check; when none does, the one that is clear longest."""
-    options = [_braking(scenario, share) for share in BRAKING_SHARES]
+    robot, times = scenario.robot, scenario.density.times
+    now = robot.model.state(robot, heading(scenario))
+    options = [robot.model.braking(robot, now, times, share) for share in BRAKING_SHARES]
     checked = [(stop, check(scenario, stop, people)) for stop in options]
     for stop, result in checked:
         if result.feasible:
@@ -109,37 +112,3 @@ def _first_contact(t: Array, gap: Array) -> float:
     allowed = np.where(left, 0.0, np.minimum(gap[0], 0.0)) - TOLERANCE
     touching = np.any(gap < allowed, axis=1)
     return float(t[np.argmax(touching)]) if touching.any() else np.inf
-
-
-def _beyond_limits(robot: Robot, trajectory: Trajectory) -> list[str]:
-    problems = []
-    speed = np.linalg.norm(trajectory.velocities, axis=1)
-    # A robot that is too fast now may slow down; it must not get faster again.
-    limit = np.maximum(robot.max_speed, np.minimum.accumulate(speed))
-    worst = int(np.argmax(speed - limit))
-    if speed[worst] > limit[worst] + TOLERANCE:
-        problems.append(f"speed {speed[worst]:.2f} m/s above {limit[worst]:.2f} m/s")
-    if len(trajectory.times) > 1:
-        change = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
-        acceleration = np.linalg.norm(change, axis=1).max()
-        if acceleration > robot.max_acceleration + TOLERANCE:
-            problems.append(
-                f"acceleration {acceleration:.2f} m/s² above {robot.max_acceleration:.2f} m/s²"
-            )
-    return problems
-
-
-def _braking(scenario: Scenario, share: float) -> Trajectory:
-    """Straight braking at a share of the largest deceleration, then standing."""
-    robot, times = scenario.robot, scenario.density.times
-    speed = float(np.linalg.norm(robot.velocity))
-    direction = robot.velocity / speed if speed > 0 else np.zeros(2)
-    rate = share * robot.max_acceleration
-    moving = np.minimum(times, speed / rate)
-    along = speed * moving - 0.5 * rate * moving**2
-    velocity = np.maximum(speed - rate * times, 0.0)
-    return Trajectory(
-        times,
-        robot.position + along[:, None] * direction,
-        velocity[:, None] * direction,
-    )

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fgplan.robots import Holonomic, RobotModel
+
 if TYPE_CHECKING:
     from fgplan.occupancy import OccupancyGrid
 
@@ -19,28 +21,33 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A holonomic disc and its state now.
+    """A disc, how it moves, and its state now.
 
     Args:
         position: Shape (2,) [m], map frame.
-        velocity: Shape (2,) [m/s].
+        velocity: Shape (2,) [m/s]; of a robot with wheels the part along its heading counts.
         heading: [rad] counter-clockwise from x; None means the direction of motion (or of the
             goal, when standing).
-        covariance: Of (x, y, vx, vy), shape (4, 4); None means that the state is exact.
+        yaw_rate: [rad/s], of a robot with wheels.
+        covariance: Of the model's state, (x, y, vx, vy) or (x, y, θ, v, ω), shape (4, 4) or
+            (5, 5); None means that the state is exact.
         radius: [m].
         preferred_speed: Cruise speed of a global plan [m/s].
         max_speed: [m/s].
         max_acceleration: [m/s²].
+        model: How it moves: `Holonomic`, `DifferentialDrive`, `CarLike`, or a model of yours.
     """
 
     position: Array
     velocity: Array = field(default_factory=lambda: np.zeros(2))
     heading: float | None = None
+    yaw_rate: float = 0.0
     covariance: Array | None = None
     radius: float = 0.25
     preferred_speed: float = 1.0
     max_speed: float = 1.2
     max_acceleration: float = 1.5
+    model: RobotModel = field(default_factory=Holonomic)
 
     @property
     def state(self) -> Array:

@@ -9,6 +9,7 @@ rest is checked all the same.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -22,8 +23,10 @@ from pydantic_core import PydanticCustomError
 
 from fgplan.errors import MapError, Mistake, ScenarioError
 from fgplan.occupancy import OccupancyGrid
+from fgplan.robots import Holonomic, RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.validation import find_mistakes, placement
+from fgplan.wheeled import CarLike, DifferentialDrive
 
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]
@@ -70,6 +73,13 @@ class _Robot(_Table):
     preferred_speed: Number = 0.0
     max_speed: Number = 0.0
     max_acceleration: Number = 0.0
+    yaw_rate: Number = 0.0
+    model: Text = "holonomic"
+    max_reverse_speed: Number = 0.0
+    max_yaw_rate: Number = 0.0
+    max_yaw_acceleration: Number = 0.0
+    min_turning_radius: Number = 0.0
+    Qc_yaw: Number = 0.0
 
 
 class _Goal(_Table):
@@ -144,6 +154,9 @@ class _File(_Table):
     levels: list[_Level] | None = None
 
 
+MODELS = {"holonomic": Holonomic, "differential": DifferentialDrive, "car": CarLike}
+"""Robot models by name; their fields are keys of [robot]."""
+
 MOST_CELLS = 40_000_000
 """Of a map drawn in a scenario file: more would take minutes and gigabytes."""
 
@@ -190,8 +203,9 @@ def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
     reported = [mistake.path for mistake in mistakes]
     unclear = any(known.startswith("map") for known in reported)
     grid, wrong = _map(table.map, path.parent, unclear)
-    scenario = _scenario(table, grid, path.stem)
-    meant = (*wrong, *_goal(table), *find_mistakes(scenario), *placement(scenario))
+    model, misplaced = _model(table.robot, "robot.model" in reported)
+    scenario = _scenario(table, grid, model, path.stem)
+    meant = (*wrong, *misplaced, *_goal(table), *find_mistakes(scenario), *placement(scenario))
     new = [m for m in meant if not any(_overlap(m.path, known) for known in reported)]
     if mistakes or new:
         raise ScenarioError(str(path), (*mistakes, *new))
@@ -347,9 +361,32 @@ def _goal(table: _File) -> Sequence[Mistake]:
     return ()
 
 
-def _scenario(table: _File, grid: OccupancyGrid | None, stem: str) -> Scenario:
+def _model(table: _Robot, unclear: bool) -> tuple[RobotModel, list[Mistake]]:
+    """The robot model, and what is said of it that it does not have; `unclear` when nobody knows
+    which model is meant."""
+    kind = MODELS.get(table.model)
+    if unclear or kind is None:
+        names = ", ".join(repr(name) for name in MODELS)
+        wrong = [] if unclear else [Mistake("robot.model", table.model, f"give one of {names}")]
+        return Holonomic(), wrong
+    stated = {key: value for key, value in table.stated().items() if key in _model_keys()}
+    own = {f.name for f in dataclasses.fields(kind)}
+    misplaced = [
+        Mistake(f"robot.{key}", stated[key], f"is no property of the model {table.model!r}")
+        for key in sorted(stated.keys() - own)
+    ]
+    return kind(**{key: value for key, value in stated.items() if key in own}), misplaced
+
+
+def _model_keys() -> set[str]:
+    """The keys of [robot] that belong to its model."""
+    return {f.name for kind in MODELS.values() for f in dataclasses.fields(kind)}
+
+
+def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem: str) -> Scenario:
     """The scenario that the tables describe."""
-    robot = table.robot.stated()
+    own = {*_model_keys(), "model"}
+    robot = {key: value for key, value in table.robot.stated().items() if key not in own}
     for name in {"position", "velocity", "covariance"} & robot.keys():
         robot[name] = _array(robot[name])
     optional: dict[str, Any] = {}
@@ -363,7 +400,7 @@ def _scenario(table: _File, grid: OccupancyGrid | None, stem: str) -> Scenario:
         optional["name"] = table.name
     view = table.field_of_view
     return Scenario(
-        robot=Robot(**robot),
+        robot=Robot(**robot, model=model),
         goal=None if table.goal is None else _array(table.goal.position),
         grid=grid,
         tracks=tuple(_track(person) for person in table.people),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from factors.residual import whitener
 from fgplan.errors import Mistake, ScenarioError
+from fgplan.robots import RobotModel
 from fgplan.scenario import FieldOfView, GivenPlan, Level, Scenario, Track
 
 Array = NDArray[np.float64]
@@ -84,6 +85,14 @@ _ROBOT = {
     "max_speed": _SPEED,
     "max_acceleration": _Range(1e-3, 1e4, "give an acceleration above 0, at most 1e4 m/s²"),
 }
+_MODEL = {
+    "max_reverse_speed": _Range(0, 100, "give a speed, 0 or above, at most 100 m/s"),
+    "max_yaw_rate": _Range(1e-3, 100, "give a yaw rate above 0, at most 100 rad/s"),
+    "max_yaw_acceleration": _Range(1e-3, 1e4, "give a number above 0, at most 1e4 rad/s²"),
+    "min_turning_radius": _Range(1e-3, 1e4, "give a radius above 0, at most 1e4 m"),
+    "Qc_yaw": _POSITIVE,
+}
+_YAW_RATE = _Range(-100, 100, "give a yaw rate of at most 100 rad/s")
 _LEVEL = {
     "sigma": _NOT_NEGATIVE_OR_INF,
     "length": _Range(1e-6, 1e6, "give a time from 1e-6 to 1e6 s"),
@@ -151,17 +160,25 @@ def _robot(scenario: Scenario) -> Iterable[Mistake]:
     yield from _points("robot.velocity", robot.velocity, (2,))[1]
     if robot.heading is not None and not _FINITE.allows(robot.heading):
         yield Mistake("robot.heading", robot.heading, "give a finite angle in radians")
+    if not _YAW_RATE.allows(robot.yaw_rate):
+        yield Mistake("robot.yaw_rate", _plain(robot.yaw_rate), _YAW_RATE.mend)
+    fits = isinstance(robot.model, RobotModel) and not isinstance(robot.model, type)
+    if not fits:
+        yield Mistake("robot.model", robot.model, "give a robot model, such as Holonomic()")
+    own = {name: allowed for name, allowed in _MODEL.items() if hasattr(robot.model, name)}
+    yield from _numbers("robot", robot.model, own)
     wrong = list(_numbers("robot", robot, _ROBOT))
     yield from wrong
     if not wrong and robot.preferred_speed > robot.max_speed:
         mend = f"give at most robot.max_speed, which is {robot.max_speed:g}"
         yield Mistake("robot.preferred_speed", robot.preferred_speed, mend)
     if robot.covariance is not None:
-        yield from _covariance("robot.covariance", robot.covariance)
+        dim = robot.model.dim if fits else 4
+        yield from _covariance("robot.covariance", robot.covariance, dim)
 
 
-def _covariance(path: str, value: Any) -> Iterable[Mistake]:
-    matrix, wrong = _points(path, value, (4, 4), limit=1e30)
+def _covariance(path: str, value: Any, dim: int) -> Iterable[Mistake]:
+    matrix, wrong = _points(path, value, (dim, dim), limit=1e30)
     if matrix is None:
         yield from wrong
         return

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from fgplan import scenario_file
 from fgplan.errors import Mistake, ScenarioError
 from fgplan.occupancy import OccupancyGrid
+from fgplan.robots import Holonomic, RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.validation import validate
+from fgplan.wheeled import CarLike, DifferentialDrive
 
 MINIMAL = "[robot]\nposition = [0.0, 0.0]\n"
 GOOD = """
@@ -138,7 +140,7 @@ def test_everything_that_a_file_can_say_arrives(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "owner", "renamed"),
     [
-        (scenario_file._Robot, Robot, {}),
+        (scenario_file._Robot, Robot, {key: set() for key in scenario_file._model_keys()}),
         (scenario_file._Density, Density, {}),
         (scenario_file._FieldOfView, FieldOfView, {}),
         (scenario_file._Level, Level, {}),
@@ -151,6 +153,53 @@ def test_keys_of_a_table_are_the_fields_of_its_dataclass(
 ) -> None:
     keys = set().union(*(renamed.get(key, {key}) for key in table.model_fields))
     assert keys == {field.name for field in dataclasses.fields(owner)}
+
+
+@pytest.mark.parametrize(
+    ("text", "model"),
+    [
+        ("", Holonomic()),
+        ('model = "holonomic"', Holonomic()),
+        ('model = "differential"\nmax_yaw_rate = 2', DifferentialDrive(max_yaw_rate=2.0)),
+        (
+            'model = "car"\nmin_turning_radius = 3\nmax_reverse_speed = 0.5',
+            CarLike(min_turning_radius=3.0, max_reverse_speed=0.5),
+        ),
+    ],
+)
+def test_robot_model_and_its_limits(tmp_path: Path, text: str, model: RobotModel) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(f"{MINIMAL}yaw_rate = 0.25\n{text}", encoding="utf-8")
+    robot = Scenario.load(path).robot
+    assert robot.model == model
+    assert robot.yaw_rate == 0.25
+
+
+@pytest.mark.parametrize(
+    ("text", "paths"),
+    [
+        ('model = "hovercraft"\nradius = -1', ["robot.model", "robot.radius"]),
+        ("model = 3\nmax_yaw_rate = 1", ["robot.model"]),
+        ("max_yaw_rate = 1\nQc_yaw = 1", ["robot.Qc_yaw", "robot.max_yaw_rate"]),
+        (
+            'model = "car"\nmax_yaw_rate = 1\nmin_turning_radius = 0\nmax_yaw_acceleration = "x"',
+            ["robot.max_yaw_acceleration", "robot.max_yaw_rate", "robot.min_turning_radius"],
+        ),
+        (
+            'model = "differential"\nmax_reverse_speed = -1\nyaw_rate = 1e3\n'
+            "covariance = [1, 1, 1, 1]",
+            ["robot.covariance", "robot.max_reverse_speed", "robot.yaw_rate"],
+        ),
+    ],
+)
+def test_mistakes_of_a_robot_model_are_all_named(
+    tmp_path: Path, text: str, paths: list[str]
+) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(MINIMAL + text, encoding="utf-8")
+    with pytest.raises(ScenarioError) as error:
+        Scenario.load(path)
+    assert sorted(mistake.path for mistake in error.value.mistakes) == paths
 
 
 def test_map_file_is_relative_to_the_scenario(tmp_path: Path) -> None:
