@@ -53,9 +53,9 @@ def search(
 ) -> Search:
     """Solve the starts of all hypotheses.
 
-    Without a deadline all starts are solved together. With one, each hypothesis first gets its
-    most promising start (a warm one, if any), so that there is something to compare; what time is
-    left goes to the others of those hypotheses that can still win.
+    Without a deadline all starts are solved together. With one they are solved in turns: first
+    the most promising start of each hypothesis (a warm one, if any), so that there is something
+    to compare; then, while time is left, the next one of each that can still win.
 
     Args:
         assembly: The density, one model per hypothesis.
@@ -75,19 +75,21 @@ def search(
     if np.isinf(until):
         found = _solve(assembly, solver, [(i, *start) for i in indices for start in queue[i]])
         return Search(found, frozenset(), frozenset())
-    first = _solve(assembly, solver, [(i, *queue[i][0]) for i in indices], until)
-    best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in first)
-    dropped = frozenset(
-        i
-        for i in indices
-        if len(hypotheses) > 1 and hypotheses[i].log_prior - _bound(assembly, i) < best
-    )
-    rest = [(i, *start) for i in indices if i not in dropped for start in queue[i][1:]]
-    if perf_counter() >= until:
-        late = frozenset(i for i, *_ in rest)
-        return Search(first, dropped, late | _unended(first))
-    second = _solve(assembly, solver, rest, until) if rest else ()
-    return Search(first + second, dropped, _unended(first + second))
+    found: list[Found] = []
+    dropped: set[int] = set()
+    for turn in range(max(map(len, queue))):
+        starts = [
+            (i, *queue[i][turn]) for i in indices if i not in dropped and turn < len(queue[i])
+        ]
+        if turn > 0 and perf_counter() >= until:
+            late = {i for i, *_ in starts}
+            return Search(tuple(found), frozenset(dropped), _unended(found) | late)
+        if starts:
+            found += _solve(assembly, solver, starts, until)
+        if turn == 0 and len(hypotheses) > 1:
+            best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in found)
+            dropped = {i for i in indices if hypotheses[i].log_prior - _bound(assembly, i) < best}
+    return Search(tuple(found), frozenset(dropped), _unended(found))
 
 
 def shifted(previous: Mixture, scenario: Scenario, now: float) -> tuple[Start, ...]:
