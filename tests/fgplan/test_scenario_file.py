@@ -287,7 +287,7 @@ def test_all_mistakes_are_reported_at_once(tmp_path: Path) -> None:
         (MINIMAL + "[goal]\nposition = [1, true]", "goal.position[1]", "give a number"),
         (MINIMAL + 'radius = "0.3"', "robot.radius", "give a number"),
         (MINIMAL + "radius = 2024-01-01", "robot.radius", "give a number"),
-        (MINIMAL + "people = 3", "robot.people", "is not a key; the keys here are covariance, "),
+        (MINIMAL + "people = 3", "robot.people", "is not a key; the keys here are Qc_yaw, "),
         ("people = 3\n" + MINIMAL, "people", "give a list in [brackets]"),
         ("people = [3]\n" + MINIMAL, "people[0]", "give a table"),
         ("levels = []\n" + MINIMAL, "levels", "give at least one level"),
