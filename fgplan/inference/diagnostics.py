@@ -30,7 +30,7 @@ def split_rhat(chains: Array) -> Array:
     n = z.shape[1]
     within = z.var(axis=1, ddof=1).mean(axis=0)
     between = n * z.mean(axis=1).var(axis=0, ddof=1)
-    still = within <= 0
+    still = within <= 1e-20
     ratio = between / np.where(still, 1.0, within) / n
     value = np.sqrt((n - 1) / n + ratio)
     # Chains that stand still at different places have not mixed at all.

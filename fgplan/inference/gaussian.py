@@ -158,14 +158,20 @@ def _from_slope(
     assembly: Assembly, which: int, diagonal: Array, upper: Array, slope: Array, name: str
 ) -> Gaussian:
     """From the gradient at the reference and the Hessian of a quadratic energy."""
+    model = assembly.models[which]
+    start = assembly.reference[which].copy()
+    for (variable, k), value in model.fixed.items():
+        start[k, model.columns[variable]] = value
+    # The gradient where the held states have their values, which the reference may not have.
+    moved = System(diagonal, upper).times((start - assembly.reference[which])[None])[0]
+    step = -(slope + moved) * assembly.free
     # hold_fixed works on leading axes of one batch.
     assembly.hold_fixed(diagonal[None], upper[None])
     system = System(diagonal, upper)
     factor = factorize(*system)
     if factor is None:
         raise ValueError(f"the {name} part of the density does not fix all of its variables")
-    step = factor.solve(-slope * assembly.free)
-    return Gaussian(assembly.reference[which] + step, system, factor, assembly.free)
+    return Gaussian(start + factor.solve(step), system, factor, assembly.free)
 
 
 def at_mode(assembly: Assembly, state: Array, which: int) -> Gaussian | None:

@@ -136,15 +136,14 @@ def weighted(
     ess, tail = kish(log_weights), pareto_shape(log_weights)
     possible = np.isfinite(log_z)
     weights = np.exp(log_weights - np.logaddexp.reduce(log_weights)) if possible else None
-    warnings = distrust(ess, tail)
-    warnings += deeper(energies, optima)
+    doubts = distrust(ess, tail)  # an error from such weights would itself be one
     return Inferred(
         method=name,
         states=X,
         weights=np.full(N, 1 / N) if weights is None else weights,
         energies=energies,
         log_evidence=log_z if possible else None,
-        log_evidence_error=error if possible else None,
+        log_evidence_error=error if possible and not doubts else None,
         diagnostics=Diagnostics(
             draws=N,
             ess=ess,
@@ -153,7 +152,7 @@ def weighted(
             pareto=tail,
             energies=N,
         ),
-        warnings=tuple(warnings),
+        warnings=(*doubts, *deeper(energies, optima)),
     )
 
 
