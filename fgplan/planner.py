@@ -19,6 +19,7 @@ from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
 from fgplan.inference.base import Inference, Progress
 from fgplan.inference.laplace import Laplace
+from fgplan.inference.map import MAP
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
 from fgplan.safety import People, brake
@@ -82,9 +83,9 @@ def plan(
 
     assembly = Assembly(build(scenario, belief, proposed, factors))
     before = shifted(warm, scenario, scenario.now - warm.now) if warm is not None else ()
-    end = np.inf if deadline is None else began + (1 - RESERVE) * deadline
+    end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
-    searched = search(assembly, proposed, solver, before, end)
+    searched = search(assembly, proposed, solver, before, end - RESERVE * (deadline or 0.0))
     solved = perf_counter()
 
     total = sum(f.solution.iterations for f in searched.found) or 1
@@ -93,10 +94,10 @@ def plan(
         own = [f for f in searched.found if f.which == i and np.isfinite(f.solution.energy)]
         if own:
             seconds = (solved - modelled) * sum(f.solution.iterations for f in own) / total
-            solving = Solving(
-                scenario, belief, assembly, i, i not in searched.unfinished | searched.dropped,
-                inference, seed, progress,
-            )  # fmt: skip
+            finished = i not in searched.unfinished | searched.dropped
+            # What is left of the reserve must do for the check and the action.
+            weigh = inference if perf_counter() < end - 0.5 * RESERVE * (deadline or 0.0) else MAP()
+            solving = Solving(scenario, belief, assembly, i, finished, weigh, seed, progress)
             components.append(component_of(solving, hypothesis, own, seconds))
     if not components:
         labels = [h.label for h in proposed]

@@ -73,8 +73,8 @@ def search(
     ]
     indices = range(len(hypotheses))
     if np.isinf(until):
-        found = _solve(assembly, solver, [(i, *start) for i in indices for start in queue[i]])
-        return Search(found, frozenset(), frozenset())
+        every = [(i, *start) for i in indices for start in queue[i]]
+        return Search(_solve(assembly, solver, every), frozenset(), frozenset())
     found: list[Found] = []
     dropped: set[int] = set()
     for turn in range(max(map(len, queue))):
