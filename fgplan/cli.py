@@ -132,6 +132,8 @@ def plan_command(
     seed: Annotated[int, typer.Option(help="Of a sampler.", min=0)] = 0,
 ) -> None:
     """Plan one scenario, or one moment of a recording: table, plan.json and plan.png."""
+    if inference is InferenceName.MAP and select is SelectName.MASS:
+        raise typer.BadParameter("map gives no evidence to select by", param_hint="--inference")
     with _reported():
         asked = _asked(scenario, recording, case, at)
         if crowd is not None:

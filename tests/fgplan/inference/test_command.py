@@ -62,3 +62,10 @@ def test_the_table_is_followed_by_what_the_method_says(small, tmp_path):
 
 def test_an_unknown_method_is_refused(small):
     assert CliRunner().invoke(cli.app, ["plan", str(small), "--inference", "x"]).exit_code == 2
+
+
+def test_a_point_has_no_mass_to_select_by(small):
+    command = ["plan", str(small), "--inference", "map", "--select", "mass"]
+    result = CliRunner().invoke(cli.app, command)
+    assert result.exit_code == 2
+    assert "no evidence" in result.output
