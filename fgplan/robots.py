@@ -98,6 +98,10 @@ class RobotModel(Protocol):
         """Which limits a trajectory of this model breaks, in words."""
         ...
 
+    def coast(self, now: Array, times: Array) -> Trajectory:
+        """The mean of the prior: no acceleration."""
+        ...
+
     def braking(self, robot: Robot, now: Array, times: Array, share: float) -> Trajectory:
         """A stop at a share of the largest deceleration."""
         ...
@@ -164,6 +168,10 @@ class Holonomic:
                     f"acceleration {acceleration:.2f} m/s² above {robot.max_acceleration:.2f} m/s²"
                 )
         return problems
+
+    def coast(self, now: Array, times: Array) -> Trajectory:
+        along = np.outer(times - times[0], now[2:])
+        return Trajectory(times, now[:2] + along, np.tile(now[2:], (len(times), 1)))
 
     def braking(self, robot: Robot, now: Array, times: Array, share: float) -> Trajectory:
         speed = float(np.linalg.norm(robot.velocity))

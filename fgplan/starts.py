@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.crowd import Belief
+from fgplan.crowd import Belief, heading
 from fgplan.hypothesis import Start
 from fgplan.scenario import Scenario
 from fgplan.timing import timed
@@ -48,10 +48,9 @@ def starts(scenario: Scenario, belief: Belief, plan: Trajectory, path: Array) ->
 
 
 def coast(scenario: Scenario) -> Trajectory:
-    """The mean of the robot's prior: constant velocity."""
-    times, robot = scenario.density.times, scenario.robot
-    velocity = np.tile(robot.velocity, (len(times), 1))
-    return Trajectory(times, robot.position + times[:, None] * robot.velocity, velocity)
+    """The mean of the robot's prior: on with what it does now."""
+    robot = scenario.robot
+    return robot.model.coast(robot.model.state(robot, heading(scenario)), scenario.density.times)
 
 
 def _creep(scenario: Scenario, path: Array) -> Trajectory:

@@ -215,6 +215,12 @@ class _Wheeled(ABC):
         turn = w[:-1] + share * np.diff(w)
         return np.append(0.0, np.where(crossing, self._radius * np.abs(turn), 0.0))
 
+    def coast(self, now: Array, times: Array) -> Trajectory:
+        states, still = np.tile(now, (len(times), 1)), np.zeros(2)
+        for k, dt in enumerate(np.diff(times).tolist()):
+            states[k + 1] = advance(states[k], still, dt)
+        return self.in_plane(times, states)
+
     def braking(self, robot: Robot, now: Array, times: Array, share: float) -> Trajectory:
         """Along its heading; a car keeps to the arc it is on, the other straightens as it can."""
         a, alpha = share * robot.max_acceleration, share * self._yaw[1]
