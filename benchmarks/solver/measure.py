@@ -137,13 +137,15 @@ class _Budget:
 def _measure_plans(size: Size, effort: Effort, records: Records, tell: Tell, tick: Tick) -> None:
     where = f"n={size.n} T={size.T} K={size.K}"
     budget = _Budget(effort, where, tell)
-    for peer in PEERS:
+    # Sizes at a density of their own are for the exponent of the first alone.
+    peers = PEERS if size.density is None else PEERS[:1]
+    for peer in peers:
         if size.n > peer.most_people:
             tell(f"{where}: {peer.name} left out, it is for up to {peer.most_people} people")
-    peers = [peer for peer in PEERS if size.n <= peer.most_people]
+    peers = tuple(peer for peer in peers if size.n <= peer.most_people)
     for seed in range(effort.scenes):
         problems = _pair(size, seed)
-        for peer in peers if size.density is None else peers[:1]:
+        for peer in peers:
             if budget.allows(peer.name):
                 with budget.scene(peer.name):
                     _solve_both(peer, problems, records, effort.clock, first=seed == 0)

@@ -99,10 +99,10 @@ class Ipopt:
 
 @dataclass(frozen=True)
 class Whitened:
-    """L-BFGS in prior-whitened coordinates, on fgplan's energy and gradient."""
+    """L-BFGS in prior-whitened coordinates, on fgplan's expansion: it pays for curvature, too."""
 
     name: str = "whitened L-BFGS"
-    most_people: int = 1000
+    most_people: int = 50
 
     def prepare(self, problem: Problem) -> None:
         """Nothing."""
