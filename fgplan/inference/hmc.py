@@ -56,7 +56,7 @@ class HMC:
     target: float = 0.8
     length: float = 1.6
     most_leaps: int = 32
-    jump_every: int = 5
+    jump_every: int = 2
     name: str = "hmc"
 
     def __post_init__(self) -> None:

@@ -123,11 +123,11 @@ def test_18_both_sides_of_the_person_get_half_of_the_mass(method):
     assert result.warnings == ()
 
 
-def test_18_hmc_crosses_without_jumps_too():
-    """Paths alone carry enough energy over 3.2 nats."""
+def test_18_without_jumps_hmc_says_that_it_has_not_mixed():
+    """Paths alone seldom carry enough energy over 3.2 nats in one dimension."""
     assembly, optima = person_at_the_mean()
-    result = HMC(chains=64, draws=700, jump_every=0).infer(assembly, 0, optima)
-    assert result.weights[result.states[:, 0, 0] < 0].sum() == pytest.approx(0.5, abs=0.02)
+    result = HMC(draws=300, warmup=100, jump_every=0).infer(assembly, 0, optima)
+    assert any("have not mixed" in w for w in result.warnings)
 
 
 def test_18_one_mode_of_two_is_flagged():
