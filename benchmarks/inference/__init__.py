@@ -31,7 +31,8 @@ BUDGETS = (0.01, 0.1, 1.0, 10.0, 100.0)
 class Row:
     """One method with one setting on one case; errors over seeds, None where there is no number.
 
-    `trusted` says whether no seed came with a warning.
+    `trusted` says whether no seed came with a warning; `reference_error` is the standard error of
+    the log evidence that all are compared with, and `reference_doubts` what that run warned of.
     """
 
     case: str
@@ -43,6 +44,8 @@ class Row:
     evidence_error: float | None
     ess: float | None
     trusted: bool
+    reference_error: float
+    reference_doubts: tuple[str, ...] = ()
 
 
 def methods(short: bool) -> Iterator[tuple[str, Inference, bool]]:
@@ -99,6 +102,8 @@ def measure(
         evidence_error=_rms([z - truth.log_z for z in log_z]) if len(log_z) == seeds else None,
         ess=float(np.mean(sizes)) if sizes else None,
         trusted=not any(r.warnings for r in results),
+        reference_error=truth.error,
+        reference_doubts=truth.warnings,
     )
 
 

@@ -63,6 +63,9 @@ def _print(rows: Sequence[Row]) -> None:
         numbers = (r.seconds, r.mean_error, r.mode_error, r.evidence_error, r.ess)
         cells = "".join(f"{'–' if x is None else f'{x:.3g}':>15}" for x in numbers)
         print(f"{r.case:24}{r.method:30}{r.draws:8}{cells}{'yes' if r.trusted else 'no':>15}")
+    for r in {row.case: row for row in rows}.values():
+        doubts = "; ".join(r.reference_doubts) or "none"
+        print(f"reference of {r.case}: log evidence ± {r.reference_error:.3f}, doubts: {doubts}")
     print()
     print("| case | CPU time | best mean [sd] | best log evidence [nats] |")
     print("|---|---|---|---|")

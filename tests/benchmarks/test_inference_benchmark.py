@@ -53,7 +53,7 @@ def test_laplace_does_not_see_a_limit_that_the_optimum_does_not_touch():
 
 def test_winners_are_the_least_errors_within_the_budget():
     def row(method: str, seconds: float, error: float, evidence: float | None) -> Row:
-        return Row("c", method, 1, seconds, error, 0.0, evidence, None, True)
+        return Row("c", method, 1, seconds, error, 0.0, evidence, None, True, 0.0)
 
     table = winners([row("quick", 0.005, 0.5, None), row("slow", 0.5, 0.1, 0.2)])
     by_budget = {line["budget_s"]: line for line in table}
