@@ -38,13 +38,13 @@ def random_scene(seed: int) -> Scene:
 def recorded_scenes(folder: Path, count: int) -> list[Scene]:
     """Moments of recorded cases, spread over the cases; the robot is where the person was."""
     cases = [case for case in load_cases(folder) if case.duration > 2 * Density().dt]
-    rng = np.random.default_rng(0)
-    chosen = [cases[i] for i in np.sort(rng.permutation(len(cases))[:count])]
-    recordings = {name: Recording.load(folder, name) for name in {c.recording for c in chosen}}
-    scenes = []
-    for case in chosen:
-        dt, recording = Density().dt, recordings[case.recording]
-        at = dt * int(rng.integers(1, int(case.duration / dt)))
+    # More scenes hold all that fewer do: what is known of those is still of use.
+    chosen = np.random.default_rng(0).permutation(len(cases))[:count].tolist()
+    recordings = {name: Recording.load(folder, name) for name in {c.recording for c in cases}}
+    dt, scenes = Density().dt, []
+    for i in chosen:
+        case, recording = cases[i], recordings[cases[i].recording]
+        at = dt * int(np.random.default_rng([0, i]).integers(1, int(case.duration / dt)))
         before, now = recording.scenario(case, at - dt), recording.scenario(case, at)
         scenes.append(Scene(f"{case.identity} at {at:.1f} s", before, now))
     return scenes
