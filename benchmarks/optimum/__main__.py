@@ -65,14 +65,18 @@ def _rows(scenes: Sequence[Scene], options: argparse.Namespace, notes: Console) 
     with Progress(*columns, TimeElapsedColumn(), console=notes, transient=True) as bar:
         planning = bar.add_task("plans", total=len(scenes))
         searching = bar.add_task("best known", total=len(scenes))
-        plans = []
+        planned = {}
         for scene in scenes:
-            plans.append(made(scene))
+            planned[scene.name] = made(scene)
             bar.advance(planning)
         cache = options.csv.with_name(f"{options.csv.stem}-best.csv")
-        known = best_of_all(scenes, starts, cache, options.jobs, lambda: bar.advance(searching))
-    triples = zip(scenes, plans, strict=True)
-    return [row for scene, p in triples for row in rows_of(scene, p, known[scene.name])]
+        now = {name: scenario for name, (scenario, _) in planned.items()}
+        known = best_of_all(now, starts, cache, options.jobs, lambda: bar.advance(searching))
+    return [
+        row
+        for name, (scenario, plans) in planned.items()
+        for row in rows_of(name, scenario, plans, known[name])
+    ]
 
 
 def _table(rows: Sequence[Row]) -> Table:

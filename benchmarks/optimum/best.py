@@ -130,7 +130,7 @@ def _second_order(assembly: Assembly, starts: Array, i: int) -> list[Solution]:
 
 def _lbfgs(assembly: Assembly, starts: Array, i: int) -> list[Solution]:
     """From all starts, and then to the last digit."""
-    ends = np.stack([whitened.minimise(assembly, start, i)[0] for start in starts])
+    ends = np.stack([whitened.minimise(assembly, start, i, most=200)[0] for start in starts])
     return _second_order(assembly, ends, i)
 
 

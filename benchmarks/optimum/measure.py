@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.optimum.best import Score, best_known, gap, score
 from benchmarks.optimum.scenes import Scene
+from benchmarks.solver.problem import cold
 from fgplan.planner import plan
 from fgplan.scenario import Scenario
 
@@ -54,74 +55,69 @@ class Known:
     fingerprint: str
 
 
-def made(scene: Scene) -> list[Made]:
-    """The scene planned cold and warm, at leisure and under each deadline."""
+def made(scene: Scene) -> tuple[Scenario, list[Made]]:
+    """What is known after one step of a plan, planned cold and warm, at leisure and in haste."""
     before = plan(scene.before)
+    now = scene.then(before.trajectory.states[1])
     plans = []
     for start, warm in (("cold", None), ("warm", before)):
         for deadline in (None, *DEADLINES):
             began = perf_counter()
-            mixture = plan(scene.now, warm=warm, deadline=deadline)
+            mixture = plan(now, warm=warm, deadline=deadline)
             seconds = perf_counter() - began
             mode = start if deadline is None else f"{start}, {1e3 * deadline:.0f} ms"
             label = "stop" if mixture.best is None else mixture.best.start
             plans.append(Made(mode, seconds, deadline, score(mixture), label))
-    return plans
+    return now, plans
 
 
-def search(scene: Scene, seed: int, starts: int) -> tuple[str, Known]:
+def search(name: str, now: Scenario, starts: int) -> tuple[str, Known]:
     """The best known of one scene, for a process of its own."""
-    reached, found_by = best_known(scene.now, seed, starts)
-    return scene.name, Known(reached, found_by, fingerprint(scene.now, starts))
+    reached, found_by = best_known(now, seed=0, starts=starts)
+    return name, Known(reached, found_by, fingerprint(now, starts))
 
 
-def fingerprint(scenario: Scenario, starts: int) -> str:
+def fingerprint(now: Scenario, starts: int) -> str:
     """Changes with the density and the effort: what is known of another one is of no use."""
-    from benchmarks.solver.problem import cold
-
-    problem = cold(scenario)
-    energies = problem.energies(problem.initial)
-    return f"{problem.assembly.reference.shape} {float(np.sum(energies)):.6g} {starts}"
+    problem = cold(now)
+    energy = float(np.sum(problem.energies(problem.initial)))
+    return f"{problem.assembly.reference.shape} {energy:.5g} {starts}"
 
 
 def best_of_all(
-    scenes: Sequence[Scene],
-    starts: int,
-    cache: Path,
-    workers: int,
-    tick: Callable[[], None],
+    scenes: Mapping[str, Scenario], starts: int, cache: Path, workers: int, tick: Callable[[], None]
 ) -> dict[str, Known]:
     """The best known of all scenes; what is in the cache, for the same density, is not redone."""
+    kept = read(cache)
     known = {
-        name: entry
-        for name, entry in read(cache).items()
-        if any(s.name == name and fingerprint(s.now, starts) == entry.fingerprint for s in scenes)
+        name: kept[name]
+        for name, now in scenes.items()
+        if name in kept and kept[name].fingerprint == fingerprint(now, starts)
     }
-    missing = [(i, scene) for i, scene in enumerate(scenes) if scene.name not in known]
     for _ in known:
         tick()
+    missing = {name: now for name, now in scenes.items() if name not in known}
     for name, entry in _searched(missing, starts, workers):
         known[name] = entry
-        write(cache, known)
+        write(cache, kept | known)
         tick()
     return known
 
 
 def _searched(
-    missing: Sequence[tuple[int, Scene]], starts: int, workers: int
+    missing: Mapping[str, Scenario], starts: int, workers: int
 ) -> Iterator[tuple[str, Known]]:
     if workers < 2:
-        yield from (search(scene, i, starts) for i, scene in missing)
+        yield from (search(name, now, starts) for name, now in missing.items())
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(search, scene, i, starts) for i, scene in missing]
+        jobs = [pool.submit(search, name, now, starts) for name, now in missing.items()]
         for job in as_completed(jobs):
             yield job.result()
 
 
-def rows_of(scene: Scene, plans: Iterable[Made], known: Known) -> list[Row]:
+def rows_of(name: str, now: Scenario, plans: Sequence[Made], known: Known) -> list[Row]:
     """One row a plan; energies in nats, times in ms."""
-    plans = list(plans)
     best = Score(
         max(known.score.safe, *(p.score.safe for p in plans)),
         max(known.score.any, *(p.score.any for p in plans)),
@@ -131,8 +127,8 @@ def rows_of(scene: Scene, plans: Iterable[Made], known: Known) -> list[Row]:
         distance = gap(p.score, best)
         rows.append(
             {
-                "scene": scene.name,
-                "people": len(scene.now.tracks),
+                "scene": name,
+                "people": len(now.tracks),
                 "mode": p.mode,
                 "gap": distance if np.isfinite(distance) else None,
                 "start": p.start,
