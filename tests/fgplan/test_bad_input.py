@@ -169,7 +169,7 @@ def test_a_number_that_is_not_finite_is_named(place, value):
     assert path in str(caught.value)
 
 
-MAY_BE_INFINITE = {"contact_sigma", "obstacle_sigma", "limit_sigma"}
+MAY_BE_INFINITE = {"contact_sigma", "obstacle_sigma", "limit_sigma", "reach"}
 
 
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(Density)])
