@@ -38,6 +38,7 @@ RESERVE = 0.2
 def plan(
     scenario: Scenario,
     *,
+    belief: Belief | None = None,
     factors: Iterable[gtsam.NonlinearFactor] = (),
     solver: Solver = SecondOrder(),  # noqa: B008 - frozen
     select: selection.Rule = selection.height,
@@ -52,6 +53,8 @@ def plan(
 
     Args:
         scenario: What is known now.
+        belief: The people now, from a tracker of yours; None derives it from the tracks of those
+            whom the robot sees.
         factors: Your own GTSAM factors on the variables of `fgplan.keys`.
         solver: `SecondOrder()`, or `GtsamLM()` for GTSAM's own optimiser.
         select: `selection.height` (default) or `selection.mass`; both are always reported.
@@ -77,7 +80,8 @@ def plan(
     began = perf_counter()
     validate(scenario)
     d = scenario.density
-    belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
+    if belief is None:
+        belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
     proposed = tuple(hypotheses(scenario, belief))
     ready = perf_counter()
 

@@ -29,6 +29,9 @@ LIMIT_SHARE = 0.95
 TOLERANCE = 1e-6
 """Of the limits of a holonomic robot [m/s, m/s²]."""
 
+COURSES, PACES = 16, 4
+"""Directions and speeds that a holonomic robot tries, when its plan must not be driven."""
+
 
 class Piece(NamedTuple):
     """A residual on the robot's states at (k + offset for each offset), for all k from `first`."""
@@ -104,6 +107,34 @@ class RobotModel(Protocol):
 
     def braking(self, robot: Robot, now: Array, times: Array, share: float) -> Trajectory:
         """A stop at a share of the largest deceleration."""
+        ...
+
+    def commands(self, robot: Robot, now: Array) -> Array:
+        """Commands worth trying, shape (M, 2): velocities of a holonomic robot [m/s], (v, ω) of
+        one with wheels."""
+        ...
+
+    def commands_of(self, trajectory: Trajectory) -> Array:
+        """The command at each state of a trajectory, shape (S, 2)."""
+        ...
+
+    def driven(
+        self, robot: Robot, now: Array, wishes: Array, times: Array, lag: float = 0.5
+    ) -> Array:
+        """What the robot does when it wishes for commands and its limits of acceleration allow
+        what they allow.
+
+        Args:
+            robot: Its limits.
+            now: State (dim,), or one for each of M robots (M, dim).
+            wishes: From each time to the next one, shape (M, S − 1, 2).
+            times: Shape (S,) [s].
+            lag: Share of a change of velocity that the position lags behind: ½ when it is
+                reached evenly over the step, 0 when at once.
+
+        Returns:
+            States, shape (M, S, dim).
+        """
         ...
 
     def sample(
@@ -184,6 +215,29 @@ class Holonomic:
             times, robot.position + along[:, None] * direction, velocity[:, None] * direction
         )
 
+    def commands(self, robot: Robot, now: Array) -> Array:
+        angle = 2 * np.pi / COURSES * np.arange(COURSES)
+        course = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        speed = robot.max_speed * np.arange(1, PACES + 1) / PACES
+        moving = (speed[:, None, None] * course).reshape(-1, 2)
+        return np.concatenate([np.zeros((1, 2)), now[None, 2:], moving])
+
+    def commands_of(self, trajectory: Trajectory) -> Array:
+        return trajectory.velocities
+
+    def driven(
+        self, robot: Robot, now: Array, wishes: Array, times: Array, lag: float = 0.5
+    ) -> Array:
+        states = np.empty((len(wishes), len(times), 4))
+        states[:, 0] = now
+        for k, dt in enumerate(np.diff(times).tolist()):
+            p, v = states[:, k, :2], states[:, k, 2:]
+            wish = shortened(wishes[:, k], np.maximum(robot.max_speed, np.linalg.norm(v, axis=1)))
+            change = shortened(wish - v, np.full(len(v), robot.max_acceleration * dt))
+            states[:, k + 1, :2] = p + dt * (v + (1 - lag) * change)
+            states[:, k + 1, 2:] = v + change
+        return states
+
     def sample(
         self, robot: Robot, density: Density, now: Array, count: int, rng: np.random.Generator
     ) -> Array:
@@ -221,3 +275,9 @@ class Holonomic:
         vx, vy = trajectory.velocities[step].tolist()
         c, s = float(np.cos(heading)), float(np.sin(heading))
         return Twist(c * vx + s * vy, c * vy - s * vx, 0.0)
+
+
+def shortened(vectors: Array, longest: Array) -> Array:
+    """Vectors (M, 2), none longer than (M,)."""
+    length = np.linalg.norm(vectors, axis=-1)
+    return np.asarray(vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300))[..., None])

@@ -190,11 +190,11 @@ def _ranked(road: Roadmap, paths: list[Array], start: Array) -> tuple[Route, ...
         vertices = road.to_map(path)
         vertices[0] = start
         winding = tuple((crossing - crossed[0]).tolist())
-        routes.append(Route(_label(number), vertices, _length(vertices), winding))
+        routes.append(Route(label(number), vertices, _length(vertices), winding))
     return tuple(routes)
 
 
-def _label(number: int) -> str:
+def label(number: int) -> str:
     """A, B, ..., Z, AA, AB, ..."""
     letters = ""
     number += 1

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from factors.kinematics import CurvatureLimit, LinearLimit
 from factors.residual import Residual
 from factors.unicycle import InPlane, UnicycleMotion, advance, planar, slip, unicycle_prior
-from fgplan.robots import LIMIT_SHARE, Piece, Twist
+from fgplan.robots import LIMIT_SHARE, PACES, Piece, Twist
 from fgplan.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ DEFECT = 5e-3
 leave a defect below `SLIP` at an optimum; what is reported and driven has none."""
 HEADING_DEFECT = 1e-4
 """Standard deviation of the heading's defect a step [rad]."""
+TURNS = 9
+"""Turn rates that are tried when a plan must not be driven."""
 STIFF = 0.1
 """Limits that leave no room at rest (reverse, curvature) have this share of `limit_sigma`."""
 
@@ -234,6 +236,25 @@ class _Wheeled(ABC):
             target = now[3:] * left / np.maximum(duration, 1e-12)
             states[k + 1] = advance(states[k], target - states[k, 3:], dt)
         return self.in_plane(times, states)
+
+    def commands(self, robot: Robot, now: Array) -> Array:
+        v = np.linspace(-self._reverse, robot.max_speed, PACES)
+        most = self._yaw[0] if self._radius <= 0 else robot.max_speed / self._radius
+        grid = np.stack(np.meshgrid(v, np.linspace(-most, most, TURNS), indexing="ij"), axis=-1)
+        return np.concatenate([np.zeros((1, 2)), now[None, 3:], grid.reshape(-1, 2)])
+
+    def commands_of(self, trajectory: Trajectory) -> Array:
+        return self.states(trajectory)[:, 3:]
+
+    def driven(
+        self, robot: Robot, now: Array, wishes: Array, times: Array, lag: float = 0.5
+    ) -> Array:
+        """Speeds and turn rates change evenly over a step: there is no other lag than ½."""
+        states = np.empty((len(wishes), len(times), 5))
+        states[:, 0] = now
+        for k, dt in enumerate(np.diff(times).tolist()):
+            states[:, k + 1] = self._step(robot, states[:, k], wishes[:, k], dt)
+        return states
 
     def sample(
         self, robot: Robot, density: Density, now: Array, count: int, rng: np.random.Generator

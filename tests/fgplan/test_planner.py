@@ -26,7 +26,7 @@ from fgplan import (
     plan,
     selection,
 )
-from fgplan.crowd import Belief
+from fgplan.crowd import Belief, believe
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
 from tests.scenes import CORRIDOR, blocks, fork, forked, random_scene, track
@@ -432,3 +432,13 @@ def test_an_uncertain_robot_is_drawn_to_its_plan():
     loose = plan(scenario.replace(robot=robot)).components[0].robot.states[0]
     np.testing.assert_array_equal(exact, [0, 0, 0.8, 0])
     assert np.abs(loose - exact).max() > 0.02
+
+
+def test_a_belief_of_the_callers_replaces_the_tracks():
+    scenario = forked(track("anna", 4.0, 0.4, -0.8), track("ben", 5.0, -1.0))
+    d = scenario.density
+    belief = believe(scenario.tracks, scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
+    given = plan(scenario.replace(tracks=()), belief=belief)
+    expected = plan(scenario)
+    np.testing.assert_array_equal(given.trajectory.states, expected.trajectory.states)
+    np.testing.assert_array_equal(given.probability_height, expected.probability_height)

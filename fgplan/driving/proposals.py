@@ -1,0 +1,136 @@
+"""The hypotheses of one step: every route, and waiting on it, priced in one currency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fgplan.crowd import Belief
+from fgplan.driving.pricing import Blockage, Pricing, congestion, delay
+from fgplan.driving.routing import Way
+from fgplan.hypotheses import hypothesise
+from fgplan.hypothesis import Hypothesis, Start
+from fgplan.scenario import Scenario
+from fgplan.starts import starts
+from fgplan.timing import along, speed_along, timed, waiting_law
+
+WAITING = ", waiting"
+"""Ends the label of a hypothesis that waits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Price:
+    """J of a route, by what it is made of [s].
+
+    Args:
+        way: Time at the preferred speed.
+        blockage: What people who stand in the way are expected to cost.
+        crowd: What people on the part beyond the horizon are expected to cost.
+        blocked_at: How far along the first blockage is [m], inf where there is none.
+    """
+
+    way: float
+    blockage: float
+    crowd: float
+    blocked_at: float
+
+    @property
+    def total(self) -> float:
+        """J [s]."""
+        return self.way + self.blockage + self.crowd
+
+
+def price(
+    way: Way,
+    scenario: Scenario,
+    belief: Belief,
+    blockages: Sequence[Blockage],
+    settings: Pricing,
+) -> Price:
+    """What a route costs from where the robot is."""
+    blocked, at = delay(way, blockages, scenario, settings)
+    crowd = congestion(way, scenario, belief, settings)
+    return Price(way.length / scenario.robot.preferred_speed, blocked, crowd, at)
+
+
+def propose(
+    scenario: Scenario,
+    belief: Belief,
+    ways: Sequence[tuple[Way, Price]],
+    followed: str | None,
+    commitment: float,
+    wait: float,
+    others: Sequence[Hypothesis] = (),
+) -> tuple[Hypothesis, ...]:
+    """w_i = softmax(−β J_i + log of a stated weight − commitment, unless i is followed).
+
+    Args:
+        scenario: What is known now.
+        belief: The people.
+        ways: Routes with their prices.
+        followed: Name of the hypothesis that was followed until now.
+        commitment: [nats].
+        wait: How long to wait where no blockage says it [s]; 0 proposes no waiting.
+        others: Hypotheses from elsewhere; their `log_prior` stands beside −β (J_i − min J).
+    """
+    if not ways and not others:
+        return tuple(hypothesise(scenario.replace(goal=None, plans=()), belief))
+    beta = scenario.density.beta
+    least = min((cost.total for _, cost in ways), default=0.0)
+    found: list[Hypothesis] = []
+    for way, cost in ways:
+        score = way.log_weight - beta * (cost.total - least)
+        found.append(_pushing_on(scenario, belief, way, cost, score))
+        reach = scenario.robot.preferred_speed * scenario.density.horizon
+        if wait > 0 and (way.label == followed or cost.blocked_at < reach):
+            # Where people block the way, waiting for them is in J of the route already.
+            blocked = cost.blocked_at < reach
+            pause = max(cost.blockage, wait) if blocked else wait
+            extra = 0.0 if blocked else wait
+            found.append(_waiting(scenario, way, cost, score - beta * extra, pause))
+    found += others
+    scores = [
+        h.log_prior - (commitment if followed is not None and route(h.label) != followed else 0.0)
+        for h in found
+    ]
+    total = np.logaddexp.reduce(scores)
+    return tuple(
+        replace(h, log_prior=float(score - total)) for h, score in zip(found, scores, strict=True)
+    )
+
+
+def route(label: str) -> str:
+    """The route a hypothesis is on: waiting on a route does not leave it."""
+    return label.removesuffix(WAITING)
+
+
+def _pushing_on(
+    scenario: Scenario, belief: Belief, way: Way, cost: Price, score: float
+) -> Hypothesis:
+    robot = scenario.robot
+    plan = timed(
+        way.path,
+        speed=robot.preferred_speed,
+        acceleration=robot.max_acceleration,
+        velocity=robot.velocity,
+        times=scenario.density.times,
+    )
+    tries = starts(scenario, belief, plan, way.path)
+    return Hypothesis(way.label, score, plan, cost.total, tries, way.path)
+
+
+def _waiting(scenario: Scenario, way: Way, cost: Price, score: float, pause: float) -> Hypothesis:
+    """The same route with a later start."""
+    robot = scenario.robot
+    law = waiting_law(
+        way.length,
+        robot.preferred_speed,
+        robot.max_acceleration,
+        speed_along(way.path, robot.velocity),
+        pause,
+    )
+    plan = along(way.path, scenario.density.times, law)
+    label = way.label + WAITING
+    return Hypothesis(label, score, plan, cost.total, (Start("plan", plan),), way.path)

@@ -1,0 +1,207 @@
+"""The global plans that compete while driving: each keeps its name from step to step.
+
+A search for routes costs tens of milliseconds, so it is made once a second, and when the map or
+the goal changes. In between, every route is joined to where the robot is. A route that is found
+again is known by its winding about the obstacles and keeps its name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import count as counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.errors import NoRoute
+from fgplan.occupancy import OccupancyGrid
+from fgplan.roadmap import roadmap
+from fgplan.routes import find_routes, label
+from fgplan.scenario import Scenario
+from fgplan.timing import path_length
+
+Array = NDArray[np.float64]
+
+SPACING = 0.05
+"""Between points of a path that are looked at [m]."""
+
+
+@dataclass(frozen=True)
+class Routing:
+    """How routes are kept up to date.
+
+    Args:
+        period: Between two searches [s].
+        ahead: How far ahead of the robot a known route is joined [m].
+        same: Where maps differ, two routes nearer to each other than this everywhere are one [m].
+    """
+
+    period: float = 1.0
+    ahead: float = 1.0
+    same: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A global plan from where the robot is now.
+
+    Args:
+        label: Its name, for as long as it is known.
+        path: Vertices, shape (N, 2) [m]; the first is where the robot is.
+        log_weight: Of a plan that was given with one; 0 for others.
+    """
+
+    label: str
+    path: Array
+    log_weight: float = 0.0
+
+    @property
+    def length(self) -> float:
+        """[m]."""
+        return path_length(self.path)
+
+
+@dataclass(frozen=True, eq=False)
+class Routes:
+    """What is known about routes at one moment.
+
+    Args:
+        ways: The global plans, from where the robot is.
+        searched: When they were searched last [s].
+        grid, goal: For what.
+        trouble: Why there is no route, None where there is one.
+    """
+
+    ways: tuple[Way, ...] = ()
+    searched: float = -np.inf
+    grid: OccupancyGrid | None = None
+    goal: Array | None = None
+    trouble: NoRoute | None = None
+
+    def update(self, scenario: Scenario, settings: Routing, keep: str | None) -> Routes:
+        """The routes from where the robot is now.
+
+        Args:
+            scenario: What is known now.
+            settings: See `Routing`.
+            keep: Name of the route that is being followed: it stays, if it still leads on.
+        """
+        tried = [_joined(way, scenario, settings) for way in self.ways]
+        joined = [way for way in tried if way is not None]
+        changed = self.grid is not scenario.grid or not _equal(self.goal, scenario.goal)
+        late = scenario.now - self.searched >= settings.period or scenario.now < self.searched
+        if not (changed or late or len(joined) < len(self.ways) or not joined):
+            return replace(self, ways=tuple(joined))
+        if not _equal(self.goal, scenario.goal):
+            joined = []
+        trouble = None
+        try:
+            found = _search(scenario)
+        except NoRoute as error:
+            found, trouble = [], error
+        ways = _named(scenario, settings, found, joined, keep) if found else joined
+        return Routes(
+            tuple(ways), scenario.now, scenario.grid, scenario.goal, None if ways else trouble
+        )
+
+
+def _search(scenario: Scenario) -> list[Way]:
+    here = scenario.robot.position
+    found = []
+    for given in scenario.plans:
+        vertices = np.asarray(given.path, dtype=float)
+        weight = 0.0 if given.weight is None else float(np.log(max(given.weight, 1e-300)))
+        found.append(Way(given.label, _from(here, vertices), weight))
+    if scenario.goal is not None and scenario.count > 0:
+        routes = find_routes(
+            scenario.grid, here, scenario.goal, scenario.robot.radius, scenario.count
+        )
+        found += [Way("", route.path) for route in routes]
+    return found
+
+
+def _named(
+    scenario: Scenario, settings: Routing, found: list[Way], known: list[Way], keep: str | None
+) -> list[Way]:
+    """New routes under the names of the old ones of their class; new names for new classes."""
+    named, left = [], list(known)
+    for way in found:
+        twin = next((k for k in left if _same(scenario, settings, way, k)), None)
+        if twin is not None:
+            left.remove(twin)
+        named.append(replace(way, label=way.label or ("" if twin is None else twin.label)))
+    named += [way for way in left if way.label == keep]
+    used = {way.label for way in named}
+    fresh = (name for name in map(label, counter()) if name not in used)
+    return [way if way.label else replace(way, label=next(fresh)) for way in named]
+
+
+def _same(scenario: Scenario, settings: Routing, a: Way, b: Way) -> bool:
+    """Whether two ways from the same place to the same goal wind about obstacles alike."""
+    if scenario.grid is None:
+        return True
+    if np.linalg.norm(a.path[-1] - b.path[-1]) > settings.same:
+        return False
+    road = roadmap(scenario.grid, scenario.robot.radius)
+    loop = np.vstack([a.path, b.path[::-1]])
+    return not np.any(road.signature(road.to_lattice(loop)))
+
+
+def _joined(way: Way, scenario: Scenario, settings: Routing) -> Way | None:
+    """The way from here on; None where the straight line to it is not free."""
+    here, radius, grid = scenario.robot.position, scenario.robot.radius, scenario.grid
+    path = densified(way.path)
+    nearest = int(np.argmin(np.linalg.norm(path - here, axis=1)))
+    last = min(nearest + round(settings.ahead / SPACING), len(path) - 1)
+    for at in (last, (nearest + last) // 2, min(nearest + 1, len(path) - 1)):
+        rest = np.vstack([here, path[at:]])
+        if grid is None or is_free(grid, rest[:2], radius):
+            return replace(way, path=simplified(rest))
+    return None
+
+
+def is_free(grid: OccupancyGrid, path: Array, radius: float) -> bool:
+    """Whether the robot's disc stays clear along a polyline (N, 2); where it is too near an
+    obstacle at first, it must not come nearer."""
+    gap = grid.clearance(densified(path), radius)
+    allowed = min(0.0, float(gap[0])) - 1e-3
+    return bool(np.all(gap >= allowed))
+
+
+def densified(path: Array, spacing: float = SPACING) -> Array:
+    """Points at most `spacing` apart along a polyline (N, 2), its vertices among them."""
+    s = arc_length(path)
+    at = np.union1d(s, np.linspace(0.0, s[-1], 1 + int(np.ceil(s[-1] / spacing))))
+    return np.column_stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])])
+
+
+def arc_length(path: Array) -> Array:
+    """From the start of a polyline (N, 2) to each of its vertices, shape (N,) [m]."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+
+
+def simplified(path: Array) -> Array:
+    """A polyline without the vertices on straight parts of it."""
+    if len(path) < 3:
+        return path
+    step = np.diff(path, axis=0)
+    turn = step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0]
+    back = np.einsum("ij,ij->i", step[:-1], step[1:]) < 0
+    keep = np.concatenate([[True], (np.abs(turn) > 1e-9) | back, [True]])
+    return np.asarray(path[keep])
+
+
+def _from(here: Array, vertices: Array) -> Array:
+    """A given path from here on: from the vertex after the nearest point of it."""
+    path = densified(vertices)
+    nearest = int(np.argmin(np.linalg.norm(path - here, axis=1)))
+    rest = path[nearest:]
+    if np.allclose(rest[0], here, atol=1e-9):
+        return simplified(rest)
+    return simplified(np.vstack([here, rest[1:] if len(rest) > 1 else rest]))
+
+
+def _equal(a: Array | None, b: Array | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return bool(np.array_equal(a, b))

@@ -1,0 +1,49 @@
+"""How a robot drives: every choice that is not part of the density, with its default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from fgplan import selection
+from fgplan.driving.guard import Guard
+from fgplan.driving.intake import Intake
+from fgplan.driving.pricing import Pricing
+from fgplan.driving.routing import Routing
+from fgplan.driving.tracking import Tracking
+from fgplan.inference import MAP, Inference
+from fgplan.solver import SecondOrder, Solver
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a `Planner` is built with, beside the scenario.
+
+    Args:
+        period: Between two steps [s]: a command is given for this long.
+        deadline: Time a plan may take [s]; None lets it end.
+        commitment: Prior cost of leaving the hypothesis that is followed: a factor
+            exp(−commitment) on every other one [nats].
+        wait: What a "wait" hypothesis waits for, where no blockage says how long [s]; 0 proposes
+            none.
+        goal_tolerance: A goal is reached this near to it [m] (Nav2's xy_goal_tolerance).
+        stall: A robot that has not come nearer to its goal for this long makes no progress [s].
+        lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
+        routing, tracking, pricing, guard, intake: See there.
+        solver, select, inference: As `fgplan.plan` takes them.
+    """
+
+    period: float = 0.1
+    deadline: float | None = 0.08
+    commitment: float = 1.0
+    wait: float = 2.0
+    goal_tolerance: float = 0.25
+    stall: float = 20.0
+    lag: float = 0.5
+    routing: Routing = field(default_factory=Routing)
+    tracking: Tracking = field(default_factory=Tracking)
+    pricing: Pricing = field(default_factory=Pricing)
+    guard: Guard = field(default_factory=Guard)
+    intake: Intake = field(default_factory=Intake)
+    solver: Solver = field(default_factory=SecondOrder)
+    select: selection.Rule = selection.height
+    inference: Inference = field(default_factory=MAP)
