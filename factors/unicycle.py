@@ -128,6 +128,16 @@ class UnicycleMotion(Residual):
         energy = 0.5 * np.einsum("...i,...i->...", e, e)
         return Expansion(energy, (Jt @ e[..., None])[..., 0], hessian)
 
+    def moved(self, *x: Array) -> Array:
+        """How far the speeds and turn rates carry the robot, shape (..., 2) [m]."""
+        speed, cos, sin = self._at_nodes(*x)
+        w, _, _ = self._nodes
+        return np.stack([(speed * cos) @ w, (speed * sin) @ w], axis=-1)
+
+    def moved_slope(self, *x: Array) -> Array:
+        """Jacobian of `moved` in (θ, v, ω, v', ω'), shape (..., 2, 5)."""
+        return np.asarray(-self.sigma * self._slope(*self._at_nodes(*x))[..., _LOCAL])
+
     def _at_nodes(self, before: Array, after: Array) -> tuple[Array, Array, Array]:
         """Speed, cosine and sine of the heading at the nodes, each (..., n)."""
         local = np.concatenate([before[..., 2:], after[..., 3:]], axis=-1)

@@ -152,12 +152,20 @@ class Assembly:
             self.free[k, first.columns[name]] = False
         self._add_linear()
 
-    def linear_terms(self, which: int) -> Iterator[tuple[_Wired, Linear]]:
-        """The linear-Gaussian terms of one hypothesis, with their places in the state."""
+    def wired(self, which: int) -> Iterator[tuple[_Wired, Term]]:
+        """All terms of one hypothesis with their places in the state, then the user's factors."""
         model = self.models[which]
         for term in model.terms:
+            yield _wire(term, model.columns), term
+        for factor in model.extra:
+            wired = _wire_user(factor, model)
+            yield wired, Term("yours", wired.residual, (), range(1))
+
+    def linear_terms(self, which: int) -> Iterator[tuple[_Wired, Linear]]:
+        """The linear-Gaussian terms of one hypothesis, with their places in the state."""
+        for wired, term in self.wired(which):
             if isinstance(term.residual, Linear):
-                yield _wire(term, model.columns), term.residual
+                yield wired, term.residual
 
     def _add_linear(self) -> None:
         """The constant Hessian, and energy and gradient of the linear terms at the reference."""
@@ -241,15 +249,7 @@ class Assembly:
 
     def hold_fixed(self, diagonal: Array, upper: Array) -> None:
         """A state known without error does not move: unit curvature, no link to others."""
-        for k in np.flatnonzero(~self.free.all(axis=1)):
-            held = np.flatnonzero(~self.free[k])
-            diagonal[:, k, held, :] = 0
-            diagonal[:, k, :, held] = 0
-            diagonal[:, k, held, held] = 1
-            if k < upper.shape[1]:
-                upper[:, k, held, :] = 0
-            if k > 0:
-                upper[:, k - 1, :, held] = 0
+        hold(self.free, diagonal, upper)
 
     def potentials(self, X: Array) -> Array:
         """Energy of what is not linear-Gaussian, never negative; X has shape (..., S, D)."""
@@ -257,6 +257,25 @@ class Assembly:
         for wired in self.nonlinear:
             total += wired.residual.energy(*wired.variables(X)).sum(-1)
         return total
+
+
+def hold(free: NDArray[np.bool_], diagonal: Array, upper: Array) -> None:
+    """Coordinates that are not free (S, D) get unit curvature and no link to others, in place.
+
+    Args:
+        free: Shape (S, D).
+        diagonal: Blocks (B, S, D, D).
+        upper: Blocks (B, S − 1, D, D).
+    """
+    for k in np.flatnonzero(~free.all(axis=1)):
+        held = np.flatnonzero(~free[k])
+        diagonal[:, k, held, :] = 0
+        diagonal[:, k, :, held] = 0
+        diagonal[:, k, held, held] = 1
+        if k < upper.shape[1]:
+            upper[:, k, held, :] = 0
+        if k > 0:
+            upper[:, k - 1, :, held] = 0
 
 
 def _same_curvature(a: Model, b: Model) -> bool:

@@ -54,6 +54,8 @@ class Term:
     residual: Residual
     variables: tuple[tuple[str, int], ...]
     steps: range
+    robots_own: bool = False
+    """Whether it says how the robot moves: its prior and its limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,9 @@ class Model:
         fixed: States known without error: (variable, step) → value.
         reference: A typical trajectory of all variables, shape (T + 1, D).
         lift: From a guess of the robot's trajectory to its states.
+        read: From times and the robot's states to its trajectory, as it is driven.
+        kinematic: From a count to draws of the robot's states from its own prior within its
+            limits, shape (count, T + 1, dim); None where the robot has no model.
         gate: Who is planned and who is held.
         people: Names of those in the crowd variable, in its order.
         extra: The user's own GTSAM factors.
@@ -83,6 +88,8 @@ class Model:
     fixed: dict[tuple[str, int], Array]
     reference: Array
     lift: Callable[[Trajectory], Array] = attrgetter("states")
+    read: Callable[[Array, Array], Trajectory] = Trajectory.from_states
+    kinematic: Callable[[int, np.random.Generator], Array] | None = None
     gate: Gate | None = None
     people: tuple[str, ...] = ()
     extra: tuple[gtsam.NonlinearFactor, ...] = ()
@@ -143,6 +150,24 @@ class Model:
             state[k, self.columns[name]] = values.atVector(key)
         return state
 
+    def trajectory(self, state: Array, name: str = "robot") -> Trajectory:
+        """The robot's trajectory as it is driven, that of a random level, or that of a planned
+        person by name, in a state (T + 1, D).
+
+        Raises:
+            ValueError: none of them has that name.
+        """
+        if name == "robot":
+            return self.read(self.times, state[:, self.columns["robot"]])
+        if name in self.people:
+            n, i = len(self.people), self.people.index(name)
+            flat = state[:, self.columns["crowd"]].reshape(len(self.times), 2, n, 2)
+            return Trajectory(self.times, flat[:, 0, i], flat[:, 1, i])
+        if name in self.columns and name != "crowd":
+            return Trajectory.from_states(self.times, state[:, self.columns[name]])
+        known = [v for v in self.columns if v != "crowd"] + list(self.people)
+        raise ValueError(f"{name!r} is none of {known}")
+
     def initial(self, start: Start) -> Array:
         """The state to start from: the guess, and everything else as it is expected."""
         state = self.reference.copy()
@@ -183,6 +208,7 @@ def build(
     vehicle = scenario.robot.model
     now = vehicle.state(scenario.robot, heading(scenario))
     lift = partial(vehicle.lift, scenario.robot, now)
+    kinematic = partial(_kinematic, scenario, now)
     robot = Variable("robot", vehicle.dim, keys.robot)
     crowd = (Variable("crowd", 4 * planned.count, keys.crowd),) if planned.count else ()
     shared = tuple(_shared_terms(scenario, planned, held, gate_))
@@ -199,12 +225,20 @@ def build(
         if planned.count:
             parts.append(_expected_crowd(planned, scenario.density.times))
         own = tuple(_hypothesis_terms(scenario, hypothesis, levels, T))
-        reference, times = np.hstack(parts), scenario.density.times
-        names = planned.names
-        models.append(
-            Model(times, variables, shared, own, fixed, reference, lift, gate_, names, extra)
-        )
+        reference, names = np.hstack(parts), planned.names
+        read, times = vehicle.trajectory, scenario.density.times
+        given = (times, variables, shared, own, fixed, reference, lift, read, kinematic)
+        models.append(Model(*given, gate_, names, extra))
     return tuple(models)
+
+
+def _kinematic(scenario: Scenario, now: Array, count: int, rng: np.random.Generator) -> Array:
+    """Draws from the robot's own prior within its limits, from a state drawn where it is uncertain,
+    shape (count, T + 1, dim)."""
+    robot = scenario.robot
+    if robot.covariance is not None:
+        now = rng.multivariate_normal(now, robot.covariance, count, method="cholesky")
+    return robot.model.sample(robot, scenario.density, now, count, rng)
 
 
 def _touches_crowd(factors: Iterable[gtsam.NonlinearFactor], steps: int) -> bool:
@@ -229,7 +263,7 @@ def _robot_prior(scenario: Scenario) -> Iterable[Term]:
     d, robot = scenario.density, scenario.robot
     if robot.covariance is not None:
         now = gaussian(robot.model.state(robot, heading(scenario)), robot.covariance)
-        yield Term("robot now", now, (("robot", 0),), range(1))
+        yield Term("robot now", now, (("robot", 0),), range(1), robots_own=True)
     yield from _along(robot.model.prior(d), d.steps)
 
 
@@ -309,7 +343,7 @@ def _along(pieces: Iterable[Piece], T: int) -> Iterable[Term]:
     """What a robot model says, at all steps of the horizon."""
     for name, residual, offsets, first in pieces:
         on = tuple(("robot", offset) for offset in offsets)
-        yield Term(name, residual, on, range(first, T + 1 - max(offsets)))
+        yield Term(name, residual, on, range(first, T + 1 - max(offsets)), robots_own=True)
 
 
 def _level_variables(levels: Sequence[Level], hypothesis: Hypothesis) -> dict[int, Variable]:

@@ -140,7 +140,8 @@ class RobotModel(Protocol):
     def sample(
         self, robot: Robot, density: Density, now: Array, count: int, rng: np.random.Generator
     ) -> Array:
-        """Draws from the prior within the limits, shape (count, T + 1, dim)."""
+        """Draws from the prior within the limits, shape (count, T + 1, dim); `now` is one state
+        (dim,) or one for each draw (count, dim)."""
         ...
 
     def twist(self, trajectory: Trajectory, step: int, heading: float) -> Twist:

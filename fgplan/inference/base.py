@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly
 from fgplan.inference.gaussian import Gaussian
+from fgplan.model import Model
 from fgplan.solver import Solution
 from fgplan.trajectory import Trajectory
 
@@ -107,6 +108,8 @@ class Inferred:
         diagnostics: What it is worth.
         warnings: Why it cannot be trusted; empty where nothing speaks against it.
         gaussians: What surrounds each trajectory; empty where they are points.
+        model: The density of the hypothesis; it knows what is where in a state. None where the
+            states are only those of a robot.
     """
 
     method: str
@@ -118,6 +121,7 @@ class Inferred:
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
     gaussians: tuple[Gaussian, ...] = ()
+    model: Model | None = None
 
     @property
     def best(self) -> Array:
@@ -139,10 +143,17 @@ class Inferred:
             spread += weight * gaussian.covariance
         return np.asarray(spread)
 
-    def trajectories(self, times: Array, columns: slice) -> tuple[Trajectory, ...]:
-        """Each as a trajectory of one variable (x, y, vx, vy), such as
-        `model.columns["robot"]`."""
-        return tuple(Trajectory.from_states(times, state[:, columns]) for state in self.states)
+    def trajectories(self, name: str = "robot") -> tuple[Trajectory, ...]:
+        """Each as a trajectory of the robot, as it is driven; or of a random level ("level 0", from
+        the mission down), or of a planned person by name.
+
+        Raises:
+            ValueError: none of them has that name, or the density is not known.
+        """
+        model = self.model
+        if model is None:
+            raise ValueError("these states come without the density that says what they are")
+        return tuple(model.trajectory(state, name) for state in self.states)
 
     def resampled(self, count: int, seed: Seed = 0) -> Array:
         """Trajectories of equal weight, shape (count, S, D)."""

@@ -111,7 +111,7 @@ def fitted(assembly: Assembly, X: Array, around: Blend) -> Blend:
     for j in range(len(near)):
         own = X[mode == j]
         if len(own) >= DRAWS_A_COORDINATE * 2 * X.shape[-1]:
-            gaussian = markov_fit(own, assembly.free)
+            gaussian = markov_fit(own, assembly.free, near[j][0].shear)
             if gaussian is not None:
                 parts.append((gaussian, FITTED * len(own) / len(X), float("inf")))
     total = sum(share for _, share, _ in near)

@@ -175,6 +175,7 @@ class Recorder:
                 gradients=self.differentiated,
             ),
             warnings=tuple(warnings),
+            model=target.assembly.models[target.which],
         )
 
     def _doubts(self, ess: float, rhat: float, overlap: float) -> list[str]:

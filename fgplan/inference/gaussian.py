@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from fgplan.assembly import Assembly, Quadratic
+from fgplan.assembly import Assembly, Quadratic, hold
 from fgplan.block_tridiagonal import Factor, System, factorize
+from fgplan.inference.shear import Shear, shear
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -31,12 +32,15 @@ class Gaussian:
         system: H, with unit curvature where a state is held.
         factor: Its Cholesky factor L Lᵀ.
         free: Which coordinates are random, shape (S, D).
+        shear: Of a robot with wheels: the Gaussian is one in its coordinates y, and so are `mean`
+            and `covariance`; draws and densities are those of states.
     """
 
     mean: Array
     system: System
     factor: Factor
     free: NDArray[np.bool_]
+    shear: Shear | None = None
 
     @property
     def dimension(self) -> int:
@@ -52,13 +56,25 @@ class Gaussian:
         """Standard normal numbers, 0 where a state is held, shape (N, S, D)."""
         return rng.standard_normal((count, *self.mean.shape)) * self.free
 
+    def deviation(self, rng: Generator, count: int) -> Array:
+        """Independent draws less the mean, in y, shape (N, S, D)."""
+        return self.factor.backward(self.noise(rng, count))
+
     def draw(self, rng: Generator, count: int) -> Array:
         """Independent draws, shape (N, S, D)."""
-        return self.mean + self.factor.backward(self.noise(rng, count))
+        return self.bend(self.mean + self.deviation(rng, count))
+
+    def bend(self, Y: Array) -> Array:
+        """States x of y, shape (N, S, D)."""
+        return Y if self.shear is None else self.shear.bend(Y)
+
+    def straighten(self, X: Array) -> Array:
+        """y of states x, shape (N, S, D)."""
+        return X if self.shear is None else self.shear.straighten(X)
 
     def distance2(self, X: Array) -> Array:
         """Squared Mahalanobis distance from the mean, shape (N,)."""
-        d = (X - self.mean) * self.free
+        d = (self.straighten(X) - self.mean) * self.free
         return np.asarray(np.einsum("nsd,nsd->n", d, self.system.times(d)))
 
     def log_density(self, X: Array) -> Array:
@@ -95,10 +111,10 @@ class Blend:
         for j, (gaussian, dof) in enumerate(zip(self.parts, self.dof, strict=True)):
             rows = np.flatnonzero(part == j)
             if len(rows):
-                step = gaussian.draw(rng, len(rows)) - gaussian.mean
+                step = gaussian.deviation(rng, len(rows))
                 if np.isfinite(dof):
                     step /= np.sqrt(rng.chisquare(dof, len(rows)) / dof)[:, None, None]
-                X[rows] = gaussian.mean + step
+                X[rows] = gaussian.bend(gaussian.mean + step)
         return X
 
     def log_densities(self, X: Array) -> Array:
@@ -126,16 +142,25 @@ def _log_t(gaussian: Gaussian, X: Array, dof: float) -> Array:
 def linear(assembly: Assembly, which: int) -> Gaussian:
     """The linear-Gaussian part of the density: GP priors, couplings and data of a hypothesis.
 
+    Of a robot with wheels the motion is taken in its sheared coordinates around the plan, where it
+    is linear, and the coupling to positions as if they were those of y.
+
     Raises:
         ValueError: that part alone does not fix all variables.
     """
     rows = np.array([which])
     diagonal, upper = assembly.linear_hessian(rows)
-    return _from_slope(assembly, which, diagonal[0], upper[0], assembly.gradient[which], "linear")
+    slope = assembly.gradient[which].copy()
+    return _from_slope(assembly, which, diagonal[0], upper[0], slope, "linear", assembly.free)
 
 
-def prior(assembly: Assembly, which: int) -> Gaussian:
+def prior(assembly: Assembly, which: int, robot: bool = True) -> Gaussian:
     """The normalised densities of a hypothesis alone: GP priors and data, no coupling.
+
+    Args:
+        assembly: The density.
+        which: The hypothesis.
+        robot: Whether the robot is among the random coordinates.
 
     Raises:
         ValueError: that part alone does not fix all variables, as for a level without a prior of
@@ -151,27 +176,49 @@ def prior(assembly: Assembly, which: int) -> Gaussian:
         part = residual.gauss_newton(*wired.variables(model.reference))
         wired.add_gradient(part.gradient, slope)
         wired.add_hessian(part.hessian, diagonal, upper)
-    return _from_slope(assembly, which, diagonal, upper, slope, "prior")
+    free = assembly.free.copy()
+    if not robot:
+        free[:, model.columns["robot"]] = False
+    return _from_slope(assembly, which, diagonal, upper, slope, "prior", free)
 
 
 def _from_slope(
-    assembly: Assembly, which: int, diagonal: Array, upper: Array, slope: Array, name: str
+    assembly: Assembly,
+    which: int,
+    diagonal: Array,
+    upper: Array,
+    slope: Array,
+    name: str,
+    free: NDArray[np.bool_],
 ) -> Gaussian:
     """From the gradient at the reference and the Hessian of a quadratic energy."""
     model = assembly.models[which]
+    bent = shear(assembly, assembly.reference[which])
+    if bent is not None:
+        _add_motion(assembly, which, bent, diagonal, upper, slope)
     start = assembly.reference[which].copy()
     for (variable, k), value in model.fixed.items():
         start[k, model.columns[variable]] = value
     # The gradient where the held states have their values, which the reference may not have.
     moved = System(diagonal, upper).times((start - assembly.reference[which])[None])[0]
-    step = -(slope + moved) * assembly.free
-    # hold_fixed works on leading axes of one batch.
-    assembly.hold_fixed(diagonal[None], upper[None])
+    step = -(slope + moved) * free
+    hold(free, diagonal[None], upper[None])
     system = System(diagonal, upper)
     factor = factorize(*system)
     if factor is None:
         raise ValueError(f"the {name} part of the density does not fix all of its variables")
-    return Gaussian(start + factor.solve(step), system, factor, assembly.free)
+    return Gaussian(start + factor.solve(step), system, factor, free, bent)
+
+
+def _add_motion(
+    assembly: Assembly, which: int, bent: Shear, diagonal: Array, upper: Array, slope: Array
+) -> None:
+    """The robot's motion at the reference: in sheared coordinates it is that quadratic exactly."""
+    for wired in assembly.nonlinear:
+        if wired.residual is bent.motion:
+            part = wired.residual.gauss_newton(*wired.variables(assembly.reference[which]))
+            wired.add_gradient(part.gradient, slope)
+            wired.add_hessian(part.hessian, diagonal, upper)
 
 
 def at_mode(assembly: Assembly, state: Array, which: int) -> Gaussian | None:
@@ -179,11 +226,17 @@ def at_mode(assembly: Assembly, state: Array, which: int) -> Gaussian | None:
     quadratic = assembly.expand(state[None], np.array([which]))
     _, system = next(quadratic.systems(np.zeros(1, dtype=np.intp)))
     factor = factorize(*system)
-    return None if factor is None else Gaussian(state, system, factor, assembly.free)
+    if factor is None:
+        return None
+    # The gradient is zero there, so that the Hessian is the same in sheared coordinates.
+    return Gaussian(state, system, factor, assembly.free, shear(assembly, state))
 
 
 def average_curvature(assembly: Assembly, X: Array, which: int) -> Gaussian:
     """N(mean of X, (mean Gauss–Newton Hessian over X)⁻¹): positive definite where `linear` is.
+
+    Of a robot with wheels that of the first state alone, in coordinates sheared there: headings
+    that differ have no common curvature.
 
     Args:
         assembly: The density.
@@ -193,6 +246,8 @@ def average_curvature(assembly: Assembly, X: Array, which: int) -> Gaussian:
     Raises:
         ValueError: the mean is not positive definite or not finite.
     """
+    bent = shear(assembly, X[0])
+    X = X if bent is None else X[:1]
     quadratic: Quadratic = assembly.gauss_newton(X, np.full(len(X), which))
     total: System | None = None
     for n, (_, system) in enumerate(quadratic.systems(np.arange(len(X)))):
@@ -200,10 +255,10 @@ def average_curvature(assembly: Assembly, X: Array, which: int) -> Gaussian:
     factor = None if total is None else factorize(*total)
     if total is None or factor is None:
         raise ValueError("the mean curvature is not positive definite")
-    return Gaussian(X.mean(axis=0), total, factor, assembly.free)
+    return Gaussian(X.mean(axis=0), total, factor, assembly.free, bent)
 
 
-def markov_fit(X: Array, free: NDArray[np.bool_]) -> Gaussian | None:
+def markov_fit(X: Array, free: NDArray[np.bool_], bent: Shear | None = None) -> Gaussian | None:
     r"""The Gaussian with the mean of X and its covariances within and between neighbouring steps,
     which of all such Gaussians has the largest entropy: its precision is block-tridiagonal,
 
@@ -212,6 +267,7 @@ def markov_fit(X: Array, free: NDArray[np.bool_]) -> Gaussian | None:
     Args:
         X: Draws, shape (N, S, D); N well above 2 D.
         free: Which coordinates are random; a step is free or held as a whole variable.
+        bent: The coordinates in which moments are taken.
 
     Returns:
         None where there are too few draws.
@@ -219,6 +275,7 @@ def markov_fit(X: Array, free: NDArray[np.bool_]) -> Gaussian | None:
     Reference:
         Dempster, Biometrics 1972, on covariance selection.
     """
+    X = X if bent is None else bent.straighten(X)
     N, S, D = X.shape
     mean = X.mean(axis=0)
     d = X - mean
@@ -241,7 +298,7 @@ def markov_fit(X: Array, free: NDArray[np.bool_]) -> Gaussian | None:
     except np.linalg.LinAlgError:
         return None
     factor = factorize(diagonal, upper)
-    return None if factor is None else Gaussian(mean, System(diagonal, upper), factor, free)
+    return None if factor is None else Gaussian(mean, System(diagonal, upper), factor, free, bent)
 
 
 def blend(parts: Sequence[tuple[Gaussian, float, float]]) -> Blend:

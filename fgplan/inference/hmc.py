@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,20 +83,20 @@ class HMC:
         target = Target.of(assembly, which, optima)
         record = Recorder()
         X = target.starts(self.chains, rng)
-        paths = _Paths(target, average_curvature(assembly, X, which), X)
+        paths = _Paths(target, self._mass(target, X), X)
         step = _DualAveraging(self.target)
         total, seen = self.warmup + self.draws, list[Array]()
         for i in range(total):
             warm = i < self.warmup
             if i in (self.warmup // 3, 2 * self.warmup // 3) and seen:
-                paths.mass = self._fit(assembly, seen) or paths.mass
+                paths.mass = self._fit(paths.mass, seen) or paths.mass
                 step, seen = _DualAveraging(self.target, step.settled), []
             size = step.trial if warm else step.settled
             leaps = 1 + int(rng.uniform(0.5, 1.5) * self.length / size)
             accepted = paths.follow(size * rng.uniform(0.8, 1.0), min(leaps, self.most_leaps), rng)
             if warm:
                 step.learn(float(accepted.mean()))
-                seen.append(paths.X)
+                seen.append(paths.Y)
             else:
                 record.accepted.append(float(accepted.mean()))
             if self.jump_every and i % self.jump_every == self.jump_every - 1:
@@ -107,62 +107,83 @@ class HMC:
             if not warm:
                 record.add(paths.X, paths.energy)
             elif i == self.warmup - 1:
-                paths.divergences, paths.target = 0, target.adapted(seen)
+                paths.divergences = 0
+                paths.target = target.adapted([paths.mass.bend(Y) for Y in seen])
             if i % 10 == 9 or i + 1 == total:
                 tell(progress, self.name, i + 1, total)
         record.divergences, record.differentiated = paths.divergences, paths.gradients
         return record.result(self.name, target, rng, step.settled, "hmc")
 
-    def _fit(self, assembly: Assembly, seen: list[Array]) -> Gaussian | None:
+    def _mass(self, target: Target, X: Array) -> Gaussian:
+        """The first mass matrix; of a robot with wheels at the best optimum."""
+        best = min(target.optima, key=lambda o: o.energy).state[None]
+        mass = average_curvature(target.assembly, best, target.which)
+        return mass if mass.shear else average_curvature(target.assembly, X, target.which)
+
+    def _fit(self, mass: Gaussian, seen: list[Array]) -> Gaussian | None:
         """From deviations of each chain from its own mean: modes apart do not widen it."""
-        X = np.stack(seen[len(seen) // 3 :])
-        S, D = X.shape[-2:]
-        if X.shape[0] * X.shape[1] < 10 * 2 * D:
+        Y = np.stack(seen[len(seen) // 3 :])
+        S, D = Y.shape[-2:]
+        if Y.shape[0] * Y.shape[1] < 10 * 2 * D:
             return None
-        return markov_fit((X - X.mean(axis=0)).reshape(-1, S, D), assembly.free)
+        fit = markov_fit((Y - Y.mean(axis=0)).reshape(-1, S, D), mass.free)
+        return None if fit is None else replace(fit, shear=mass.shear)
 
 
 class _Paths:
-    """Hamiltonian paths of all chains together."""
+    """Hamiltonian paths of all chains together, in the coordinates y of the mass matrix."""
 
     def __init__(self, target: Target, mass: Gaussian, X: Array) -> None:
-        self.target, self.mass, self.X = target, mass, X
-        self.energy, self.slope = target.slope(X)
+        self.target, self.mass, self.Y = target, mass, mass.straighten(X)
+        self.energy, self.slope = self._slope(self.Y)
         self.divergences, self.gradients = 0, len(X)
+
+    @property
+    def X(self) -> Array:
+        """States of the chains, shape (C, S, D)."""
+        return self.mass.bend(self.Y)
 
     def follow(self, step: float, leaps: int, rng: Generator) -> Array:
         """One path of every chain by leapfrog; returns the probability of acceptance of each."""
         L, mass = self.mass.factor, self.mass
-        r = mass.noise(rng, len(self.X))
+        r = mass.noise(rng, len(self.Y))
         before = self.energy + 0.5 * np.einsum("nsd,nsd->n", r, r)
-        X, slope = self.X, self.slope
+        Y, slope = self.Y, self.slope
         with np.errstate(all="ignore"):  # a path that diverges is refused below
             r = r - 0.5 * step * L.forward(slope)
             for leap in range(leaps):
-                X = X + step * L.backward(r)
-                energy, slope = self.target.slope(X)
+                Y = Y + step * L.backward(r)
+                energy, slope = self._slope(Y)
                 r = r - (0.5 if leap == leaps - 1 else 1.0) * step * L.forward(slope)
             error = energy + 0.5 * np.einsum("nsd,nsd->n", r, r) - before
-        self.gradients += leaps * len(X)
+        self.gradients += leaps * len(Y)
         error = np.where(np.isfinite(error), error, np.inf)
         self.divergences += int(np.count_nonzero(error > DIVERGED))
         probability = np.exp(-np.maximum(error, 0.0))
-        accepted = rng.random(len(X)) < probability
-        self._move(X, energy, slope, accepted)
+        accepted = rng.random(len(Y)) < probability
+        self._move(Y, energy, slope, accepted)
         return np.asarray(probability)
 
     def jump(self, rng: Generator) -> NDArray[np.bool_]:
         """Jumps between modes; returns which were accepted."""
         X, _, accepted = self.target.jump(self.X, self.energy, rng)
         if accepted.any():
-            energy, slope = self.target.slope(X)
-            self.gradients += len(X)
-            self._move(X, energy, slope, accepted)
+            Y = self.mass.straighten(X)
+            energy, slope = self._slope(Y)
+            self.gradients += len(Y)
+            self._move(Y, energy, slope, accepted)
         return accepted
 
-    def _move(self, X: Array, energy: Array, slope: Array, accepted: NDArray[np.bool_]) -> None:
+    def _slope(self, Y: Array) -> tuple[Array, Array]:
+        """Energy (C,) and its gradient in y (C, S, D)."""
+        X = self.mass.bend(Y)
+        energy, slope = self.target.slope(X)
+        shear = self.mass.shear
+        return energy, slope if shear is None else shear.pull(X, slope) * self.mass.free
+
+    def _move(self, Y: Array, energy: Array, slope: Array, accepted: NDArray[np.bool_]) -> None:
         keep = accepted[:, None, None]
-        self.X = np.where(keep, X, self.X)
+        self.Y = np.where(keep, Y, self.Y)
         self.slope = np.where(keep, slope, self.slope)
         self.energy = np.where(accepted, energy, self.energy)
 

@@ -23,11 +23,12 @@ from fgplan.inference.base import (
 from fgplan.inference.diagnostics import kish, pareto_shape
 from fgplan.inference.gaussian import Blend, blend, linear, prior
 from fgplan.inference.modes import proposal
+from fgplan.model import Model
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
 
-Source = Literal["laplace", "linear", "prior"]
+Source = Literal["laplace", "linear", "prior", "kinematic"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,9 @@ class Importance:
     - "prior": the normalised densities alone, p(f^R) p(f) p(η). The weights are then ψ alone,
       which is right for every expectation; the paper's choice, the sample with the largest ψ·p,
       is `Inferred.best`.
+    - "kinematic": as "prior", with the robot drawn by its own model, which keeps every limit
+      exactly (`RobotModel.sample`). The weights are ψ alone, too, limits not among them, and log Z
+      is log E ψ under that prior: it compares hypotheses, and is no log Z of another source.
 
     Args:
         draws: How many.
@@ -82,13 +86,16 @@ class Importance:
         progress: Progress | None = None,
     ) -> Inferred:
         rng = np.random.default_rng(seed)
-        q = self._proposal(assembly, which, optima)
-        X, log_weights, energies = weigh(
-            assembly, which, q, self.draws, rng, self.batch, progress, self.name
-        )
-        return weighted(self.name, X, log_weights, energies, optima)
+        model = assembly.models[which]
+        if self.source == "kinematic":
+            drawn = _kinematic(assembly, which, self.draws, rng, self.batch, progress, self.name)
+        else:
+            q = self._proposal(assembly, which, optima)
+            drawn = weigh(assembly, which, q, self.draws, rng, self.batch, progress, self.name)
+        return weighted(self.name, model, *drawn, optima)
 
     def _proposal(self, assembly: Assembly, which: int, optima: Sequence[Solution]) -> Blend:
+        """What is drawn from, with a density."""
         if self.source == "laplace":
             return proposal(assembly, which, optima, self.dof, self.defensive)
         whole = linear(assembly, which) if self.source == "linear" else prior(assembly, which)
@@ -118,6 +125,49 @@ def weigh(
     return X, log_weights + assembly.models[which].log_normalizer, energies
 
 
+def _kinematic(
+    assembly: Assembly,
+    which: int,
+    draws: int,
+    rng: np.random.Generator,
+    batch: int,
+    progress: Progress | None,
+    what: str,
+) -> tuple[Array, Array, Array]:
+    """Draws of the robot by its model, and of all else from its prior; log ψ, and energies.
+
+    Raises:
+        ValueError: the density has no robot model, or its levels no prior of their own.
+    """
+    model = assembly.models[which]
+    if model.kinematic is None:
+        raise ValueError("this density has no robot model to draw from")
+    robot = model.columns["robot"]
+    only_robot = model.reference.shape[1] == robot.stop - robot.start
+    others = None if only_robot else prior(assembly, which, robot=False)
+    X = np.empty((draws, *model.reference.shape))
+    log_psi, energies = np.empty(draws), np.empty(draws)
+    for at in range(0, draws, batch):
+        rows = slice(at, min(at + batch, draws))
+        count = rows.stop - rows.start
+        if others is not None:
+            X[rows] = others.draw(rng, count)
+        X[rows, :, robot] = model.kinematic(count, rng)
+        energies[rows] = assembly.energy(X[rows], np.asarray(which))
+        log_psi[rows] = -_potentials(assembly, which, X[rows])
+        tell(progress, what, rows.stop, draws)
+    return X, log_psi, energies
+
+
+def _potentials(assembly: Assembly, which: int, X: Array) -> Array:
+    """Energy of what is neither a normalised density nor the robot's own, shape (N,)."""
+    total = np.zeros(len(X))
+    for wired, term in assembly.wired(which):
+        if not (term.robots_own or term.residual.log_normalizer):
+            total += wired.residual.energy(*wired.variables(X)).sum(-1)
+    return total
+
+
 def log_mean(log_weights: Array) -> tuple[float, float]:
     """log of the mean of the weights and its standard error, to first order."""
     N, top = len(log_weights), float(log_weights.max())
@@ -128,7 +178,12 @@ def log_mean(log_weights: Array) -> tuple[float, float]:
 
 
 def weighted(
-    name: str, X: Array, log_weights: Array, energies: Array, optima: Sequence[Solution]
+    name: str,
+    model: Model,
+    X: Array,
+    log_weights: Array,
+    energies: Array,
+    optima: Sequence[Solution],
 ) -> Inferred:
     """The result of weighted draws."""
     N = len(X)
@@ -153,6 +208,7 @@ def weighted(
             energies=N,
         ),
         warnings=(*doubts, *deeper(energies, optima)),
+        model=model,
     )
 
 

@@ -71,6 +71,7 @@ class Laplace:
             return Inferred(
                 self.name, best.state[None], np.ones(1), np.array([best.energy]), None, None,
                 Diagnostics(draws=1), (*warnings, "its Hessian is not positive definite"),
+                model=assembly.models[which],
             )  # fmt: skip
         log_mass = np.array([mode.log_mass for mode in found])
         log_z = float(np.logaddexp.reduce(log_mass))
@@ -88,6 +89,7 @@ class Laplace:
             diagnostics=numbers,
             warnings=tuple(warnings),
             gaussians=tuple(mode.gaussian for mode in found),
+            model=assembly.models[which],
         )
 
     def _checked(

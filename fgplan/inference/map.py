@@ -41,4 +41,5 @@ class MAP:
             log_evidence_error=None,
             diagnostics=Diagnostics(draws=1),
             warnings=tuple(warnings),
+            model=assembly.models[which],
         )

@@ -104,7 +104,7 @@ class EllipticalSlice:
 def slice_step(
     energy_of: Callable[[Array], Array], N: Gaussian, X: Array, energy: Array, rng: Generator
 ) -> tuple[Array, Array, int]:
-    """One elliptical slice step of every chain.
+    """One elliptical slice step of every chain, in the coordinates of N.
 
     Args:
         energy_of: States (C, S, D) → −log p, shape (C,).
@@ -117,8 +117,8 @@ def slice_step(
         States, energies, and how many energies were evaluated.
     """
     C = len(X)
-    d = X - N.mean
-    nu = N.factor.backward(N.noise(rng, C))
+    d = N.straighten(X) - N.mean
+    nu = N.deviation(rng, C)
     level = 0.5 * N.distance2(X) - energy + np.log(rng.random(C))
     theta = rng.uniform(0, 2 * np.pi, C)
     low, high = theta - 2 * np.pi, theta.copy()
@@ -126,7 +126,7 @@ def slice_step(
     active, tries = np.arange(C), 0
     for _ in range(200):  # the bracket shrinks to the current state, which is always allowed
         angle = theta[active, None, None]
-        Y = N.mean + d[active] * np.cos(angle) + nu[active] * np.sin(angle)
+        Y = N.bend(N.mean + d[active] * np.cos(angle) + nu[active] * np.sin(angle))
         tried = energy_of(Y)
         tries += len(active)
         good = 0.5 * N.distance2(Y) - tried > level[active]

@@ -65,7 +65,10 @@ def test_every_trajectory_is_finite_and_keeps_the_state_now(method):
         assembly.energy(result.states, which), result.energies, rtol=1e-8, atol=1e-6
     )
     assert np.shape(result.covariance) == (result.mean.size, result.mean.size)
-    assert len(result.trajectories(m.times, m.columns["robot"])) == len(result.states)
+    assert len(result.trajectories()) == len(result.states)
+    for name, column in (("robot", m.columns["robot"].start), ("b", m.columns["crowd"].start + 2)):
+        first = result.trajectories(name)[0]
+        np.testing.assert_array_equal(first.positions, result.states[0, :, column : column + 2])
     assert np.isfinite(result.resampled(7)).all()
     json.dumps(result.to_dict(), allow_nan=False)
 
@@ -127,6 +130,15 @@ def test_map_names_the_modes_it_leaves_out_and_has_no_evidence():
     assert result.warnings == ("one mode of 2",)
     assert result.log_evidence is None
     np.testing.assert_array_equal(result.best, optima[0].state)
+
+
+def test_a_trajectory_that_is_not_there_is_said():
+    assembly, optima = scene()
+    result = MAP().infer(assembly, 0, optima)
+    with pytest.raises(ValueError, match=r"'c' is none of \['robot', 'a', 'b'\]"):
+        result.trajectories("c")
+    with pytest.raises(ValueError, match="without the density"):
+        result_of(0.0, 0.1).trajectories()
 
 
 def test_a_saddle_has_no_laplace_evidence_but_can_be_sampled_from():
