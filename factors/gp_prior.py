@@ -35,7 +35,7 @@ class GPPrior(Linear):
     def __init__(self, dt: float, Qc: Array) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"dt must be positive, got {dt}")
-        W = kron(whitener(_time_covariance(dt)), whitener(Qc, "Qc"))
+        W = kron(whitener(white_noise(dt)), whitener(Qc, "Qc"))
         m = len(np.atleast_2d(Qc))
         super().__init__((-W @ transition(dt, m), W), np.zeros(2 * m), log_gaussian_normalizer(W))
         object.__setattr__(self, "dt", float(dt))
@@ -44,7 +44,7 @@ class GPPrior(Linear):
     @cached_property
     def Q(self) -> Array:
         """Covariance of e, shape (2m, 2m)."""
-        return kron(_time_covariance(self.dt), self.Qc)
+        return kron(white_noise(self.dt), self.Qc)
 
     def interpolate(self, tau: float) -> tuple[Array, Array]:
         r"""Λ, Ψ, each (2m, 2m), of the conditional mean x(t_k + τ) = Λ x_k + Ψ x_{k+1}.
@@ -60,9 +60,7 @@ class GPPrior(Linear):
         m = len(self.Qc)
         # Λ and Ψ do not depend on Qc, only on time: the kron with the identity keeps them exact.
         Psi_t = (
-            _time_covariance(tau)
-            @ transition(self.dt - tau, 1).T
-            @ np.linalg.inv(_time_covariance(self.dt))
+            white_noise(tau) @ transition(self.dt - tau, 1).T @ np.linalg.inv(white_noise(self.dt))
         )
         Lambda_t = transition(tau, 1) - Psi_t @ transition(self.dt, 1)
         return kron(Lambda_t, np.eye(m)), kron(Psi_t, np.eye(m))
@@ -91,12 +89,18 @@ def matern_prior(mean: Array, dt: float, sigma: float, length: float) -> Linear:
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} must be positive, got {value}")
     m = mean.shape[-1] // 2
-    rate = np.sqrt(3) / length
-    A_t = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
-    W = kron(whitener(_matern_noise(rate * dt, rate, sigma)), np.eye(m))
+    A_t, Q_t = matern_step(dt, sigma, length)
+    W = kron(whitener(Q_t), np.eye(m))
     A = kron(A_t, np.eye(m))
     b = (mean[1:] - mean[:-1] @ A.T) @ W.T
     return Linear((-W @ A, W), b, log_gaussian_normalizer(W))
+
+
+def matern_step(dt: float, sigma: float, length: float) -> tuple[Array, Array]:
+    """A(dt) and S − A S Aᵀ of a `matern_prior`'s deviation in one dimension, each (2, 2)."""
+    rate = np.sqrt(3) / length
+    A = np.exp(-rate * dt) * np.array([[1 + rate * dt, dt], [-(rate**2) * dt, 1 - rate * dt]])
+    return A, _matern_noise(rate * dt, rate, sigma)
 
 
 def matern_first(mean: Array, sigma: float, length: float) -> Linear:
@@ -123,7 +127,8 @@ def kron(a: Array, b: Array) -> Array:
     return np.asarray(np.kron(a, b), dtype=float)
 
 
-def _time_covariance(dt: float) -> Array:
+def white_noise(dt: float) -> Array:
+    """Q(dt) over Qc of white noise on acceleration, shape (2, 2): position, velocity."""
     return np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
 
 

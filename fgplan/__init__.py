@@ -1,6 +1,7 @@
 """fgplan: planning for robots among people as inference on a factor graph."""
 
 from fgplan.errors import FgplanError, MapError, NoPlan, NoRoute, ScenarioError
+from fgplan.measuring import Measurement, Reading, Readings
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.occupancy import OccupancyGrid
 from fgplan.planner import plan
@@ -25,10 +26,13 @@ __all__ = [
     "Holonomic",
     "Level",
     "MapError",
+    "Measurement",
     "Mixture",
     "NoPlan",
     "NoRoute",
     "OccupancyGrid",
+    "Reading",
+    "Readings",
     "Robot",
     "RobotModel",
     "Scenario",

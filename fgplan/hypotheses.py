@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
 from fgplan.timing import path_length, timed
+from fgplan.validation import MOST_STEPS
 
 Array = NDArray[np.float64]
 
@@ -50,16 +52,29 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
     for path, weight, cost in zip(paths, log_prior.tolist(), costs.tolist(), strict=True):
         if weight == -np.inf:
             continue
-        plan = timed(
+        follow = partial(
+            timed,
             path.vertices,
             speed=robot.preferred_speed,
             acceleration=robot.max_acceleration,
             velocity=robot.velocity,
-            times=d.times,
         )
+        plan = follow(times=d.times)
+        course = follow(times=_beyond(scenario, cost)) if scenario.data else None
         tries = starts(scenario, belief, plan, path.vertices)
-        found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices))
+        found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices, course))
     return tuple(found)
+
+
+def _beyond(scenario: Scenario, cost: float) -> Array:
+    """Times from now to the end of a plan that takes about `cost` [s]: data may lie beyond the
+    horizon. Four times as fine as the steps, and among them all steps."""
+    d = scenario.density
+    start_and_stop = 2 * scenario.robot.preferred_speed / scenario.robot.max_acceleration
+    steps = max(d.steps, min(MOST_STEPS, int(np.ceil((cost + start_and_stop) / d.dt))))
+    return np.concatenate(
+        [(d.dt * np.arange(steps)[:, None] + d.dt / 4 * np.arange(4)).ravel(), [d.dt * steps]]
+    )
 
 
 def _no_goal(scenario: Scenario, belief: Belief) -> Hypothesis:

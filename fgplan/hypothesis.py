@@ -35,6 +35,8 @@ class Hypothesis:
         cost: Cost to go J_i from where the robot is now to the goal [s].
         starts: Initial values, at least one.
         route: The untimed path, shape (N, 2) [m], for pictures; None when no goal is known.
+        course: The plan at the times of data that the steps do not cover: before now, beyond the
+            horizon. None goes on from both ends of the plan at the velocity there.
     """
 
     label: str
@@ -43,3 +45,16 @@ class Hypothesis:
     cost: float
     starts: tuple[Start, ...]
     route: Array | None = None
+    course: Trajectory | None = None
+
+    @property
+    def along(self) -> Trajectory:
+        """The plan at any time.
+
+        Raises:
+            ValueError: there is no plan.
+        """
+        known = self.plan if self.course is None else self.course
+        if known is None:
+            raise ValueError(f"hypothesis {self.label!r} has no plan that data could measure")
+        return known

@@ -24,6 +24,7 @@ from factors.obstacle import InterpolatedObstacle, Obstacle
 from factors.pairwise import CrowdPairs, PredictedPairs
 from factors.residual import Residual
 from fgplan import keys
+from fgplan.conditioning import LevelData, on_level, robot_pieces
 from fgplan.crowd import Belief, heading
 from fgplan.gating import Gate, gate
 from fgplan.hypothesis import Hypothesis, Start
@@ -204,7 +205,6 @@ def build(
         scenario = scenario.replace(density=density)
     gate_ = gate(scenario, belief, hypotheses)
     planned, held = belief.select(gate_.planned), belief.select(gate_.held)
-    T = scenario.density.steps
     vehicle = scenario.robot.model
     now = vehicle.state(scenario.robot, heading(scenario))
     lift = partial(vehicle.lift, scenario.robot, now)
@@ -216,15 +216,21 @@ def build(
     if scenario.robot.covariance is None:
         fixed["robot", 0] = now
 
+    measured = {
+        index: on_level(scenario, index, hypotheses)
+        for index, level in enumerate(scenario.levels)
+        if level.sigma > 0 and all(h.plan is not None for h in hypotheses)
+    }
     models = []
-    for hypothesis in hypotheses:
+    for i, hypothesis in enumerate(hypotheses):
         levels = _level_variables(scenario.levels, hypothesis)
         variables = (*levels.values(), robot, *crowd)
         parts = [hypothesis.plan.states for _ in levels if hypothesis.plan is not None]
         parts.append(lift(hypothesis.starts[0].robot))
         if planned.count:
             parts.append(_expected_crowd(planned, scenario.density.times))
-        own = tuple(_hypothesis_terms(scenario, hypothesis, levels, T))
+        data = {index: of_level[i] for index, of_level in measured.items()}
+        own = tuple(_hypothesis_terms(scenario, hypothesis, levels, data))
         reference, names = np.hstack(parts), planned.names
         read, times = vehicle.trajectory, scenario.density.times
         given = (times, variables, shared, own, fixed, reference, lift, read, kinematic)
@@ -264,7 +270,10 @@ def _robot_prior(scenario: Scenario) -> Iterable[Term]:
     if robot.covariance is not None:
         now = gaussian(robot.model.state(robot, heading(scenario)), robot.covariance)
         yield Term("robot now", now, (("robot", 0),), range(1), robots_own=True)
-    yield from _along(robot.model.prior(d), d.steps)
+    yield from _robots_own(robot.model.prior(d), d.steps)
+    for piece in robot_pieces(scenario):
+        on_model = piece._replace(residual=robot.model.on_plane(piece.residual))
+        yield from _along((on_model,), d.steps)
 
 
 def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
@@ -336,14 +345,20 @@ def _limits(scenario: Scenario) -> Iterable[Term]:
     """What the robot can do."""
     d, robot = scenario.density, scenario.robot
     if np.isfinite(d.limit_sigma):
-        yield from _along(robot.model.limits(robot, d), d.steps)
+        yield from _robots_own(robot.model.limits(robot, d), d.steps)
 
 
-def _along(pieces: Iterable[Piece], T: int) -> Iterable[Term]:
-    """What a robot model says, at all steps of the horizon."""
-    for name, residual, offsets, first in pieces:
-        on = tuple(("robot", offset) for offset in offsets)
-        yield Term(name, residual, on, range(first, T + 1 - max(offsets)), robots_own=True)
+def _robots_own(pieces: Iterable[Piece], T: int) -> Iterable[Term]:
+    """What a robot model says."""
+    for term in _along(pieces, T):
+        yield replace(term, robots_own=True)
+
+
+def _along(pieces: Iterable[Piece], T: int, variable: str = "robot") -> Iterable[Term]:
+    """What is said of one trajectory, at the steps of the horizon."""
+    for piece in pieces:
+        on = tuple((variable, offset) for offset in piece.offsets)
+        yield Term(piece.name, piece.residual, on, piece.steps(T))
 
 
 def _level_variables(levels: Sequence[Level], hypothesis: Hypothesis) -> dict[int, Variable]:
@@ -358,23 +373,29 @@ def _level_variables(levels: Sequence[Level], hypothesis: Hypothesis) -> dict[in
 
 
 def _hypothesis_terms(
-    scenario: Scenario, hypothesis: Hypothesis, variables: dict[int, Variable], T: int
+    scenario: Scenario,
+    hypothesis: Hypothesis,
+    variables: dict[int, Variable],
+    data: dict[int, LevelData],
 ) -> Iterable[Term]:
-    """Π_l p(η_l | i) and Π_l ψ(η_l, η_{l+1}), the last with f^R."""
+    """Π_l p(η_l | i) p(data_l | η_l) and Π_l ψ(η_l, η_{l+1}), the last with f^R."""
     if hypothesis.plan is None:
         return
-    d, mean = scenario.density, hypothesis.plan.states
+    d, mean, T = scenario.density, hypothesis.plan.states, scenario.density.steps
     for index, variable in variables.items():
         level, name = scenario.levels[index], variable.name
-        pair = ((name, 0), (name, 1))
+        pair, known = ((name, 0), (name, 1)), data[index].now
         if np.isfinite(level.sigma):
             prior = matern_prior(mean, d.dt, level.sigma, level.length)
-            first = matern_first(mean[0], level.sigma, level.length)
+            first = matern_first(mean[0], level.sigma, level.length) if known is None else known
             yield Term(f"{level.name} now", first, ((name, 0),), range(1))
             yield Term(f"{level.name} prior", prior, pair, range(T))
         else:
             smooth = GPPrior(d.dt, d.Qc_robot * np.eye(2))
+            if known is not None:
+                yield Term(f"{level.name} now", known, ((name, 0),), range(1))
             yield Term(f"{level.name} prior", smooth, pair, range(T))
+        yield from _along(data[index].pieces, T, name)
     steps = range(T + 1)
     for index, level in enumerate(scenario.levels):
         below = _below(index, scenario.levels, variables)

@@ -136,9 +136,10 @@ class OccupancyGrid:
                 raise MapError(
                     f"polygons[{number}]: got shape {vertices.shape}; give 3 or more points (x, y)"
                 )
-            if not np.all(np.isfinite(vertices)):
+            cells = (vertices - box[:2]) / resolution
+            if not np.all(np.abs(cells) < 2.0**52):  # false for NaN as well
                 raise MapError(f"polygons[{number}]: got {vertices.tolist()}; give finite numbers")
-            _rasterise((vertices - box[:2]) / resolution, occupied)
+            _rasterise(cells, occupied)
         if border:
             occupied[[0, -1], :] = True
             occupied[:, [0, -1]] = True

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fgplan import selection
 from fgplan.assembly import Assembly
 from fgplan.components import Solving, component_of, merge
+from fgplan.conditioning import reweigh
 from fgplan.crowd import Belief, believe, heading, seen
 from fgplan.errors import NoPlan
 from fgplan.hypotheses import hypothesise
@@ -82,7 +83,7 @@ def plan(
     d = scenario.density
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
-    proposed = tuple(hypotheses(scenario, belief))
+    proposed = reweigh(scenario, hypotheses(scenario, belief))
     ready = perf_counter()
 
     assembly = Assembly(build(scenario, belief, proposed, factors))

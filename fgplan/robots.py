@@ -34,12 +34,19 @@ COURSES, PACES = 16, 4
 
 
 class Piece(NamedTuple):
-    """A residual on the robot's states at (k + offset for each offset), for all k from `first`."""
+    """A residual on one trajectory's states at (k + offset for each offset), for all k from
+    `first` on, or to `last` where it is given."""
 
     name: str
     residual: Residual
     offsets: tuple[int, ...]
     first: int = 0
+    last: int | None = None
+
+    def steps(self, T: int) -> range:
+        """All k, where the trajectory has T + 1 states."""
+        end = T - max(self.offsets)
+        return range(self.first, 1 + (end if self.last is None else min(end, self.last)))
 
 
 @dataclass(frozen=True)

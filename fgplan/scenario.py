@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fgplan.robots import Holonomic, RobotModel
 
 if TYPE_CHECKING:
+    from fgplan.measuring import Measurement
     from fgplan.occupancy import OccupancyGrid
 
 Array = NDArray[np.float64]
@@ -200,6 +201,8 @@ class Scenario:
         levels: The stack of planning levels, mission first.
         density: Parameters.
         name: For tables and pictures.
+        data: What measures the levels or the robot: operator data, waypoints, tactical data
+            (`fgplan.measuring`), on the clock of `now`. Empty is nobody who intervenes.
     """
 
     robot: Robot
@@ -215,6 +218,7 @@ class Scenario:
     levels: Sequence[Level] = (Level(),)
     density: Density = Density()
     name: str = "scenario"
+    data: tuple[Measurement, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Scenario:

@@ -12,7 +12,7 @@ import copy
 import dataclasses
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -22,6 +22,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, Vali
 from pydantic_core import PydanticCustomError
 
 from fgplan.errors import MapError, Mistake, ScenarioError
+from fgplan.measuring import Reading, Readings
 from fgplan.occupancy import OccupancyGrid
 from fgplan.robots import Holonomic, RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
@@ -141,6 +142,15 @@ class _Level(_Table):
     h: Number = 0.0
 
 
+class _Datum(_Table):
+    on: Text | None = None
+    time: Number | None = None
+    position: Point | None = None
+    velocity: Point | None = None
+    sigma: Number | None = None
+    covariance: list[list[Number]] | None = None
+
+
 class _File(_Table):
     robot: _Robot
     name: Text | None = None
@@ -152,6 +162,7 @@ class _File(_Table):
     people: list[_Person] = []
     field_of_view: _FieldOfView | None = None
     levels: list[_Level] | None = None
+    data: list[_Datum] = []
 
 
 MODELS = {"holonomic": Holonomic, "differential": DifferentialDrive, "car": CarLike}
@@ -205,7 +216,14 @@ def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
     grid, wrong = _map(table.map, path.parent, unclear)
     model, misplaced = _model(table.robot, "robot.model" in reported)
     scenario = _scenario(table, grid, model, path.stem)
-    meant = (*wrong, *misplaced, *_goal(table), *find_mistakes(scenario), *placement(scenario))
+    meant = (
+        *wrong,
+        *misplaced,
+        *_goal(table),
+        *_choices(table),
+        *(_respelled(mistake) for mistake in find_mistakes(scenario)),
+        *placement(scenario),
+    )
     new = [m for m in meant if not any(_overlap(m.path, known) for known in reported)]
     if mistakes or new:
         raise ScenarioError(str(path), (*mistakes, *new))
@@ -307,7 +325,7 @@ def _repair(tables: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> No
     elif kind == "missing" and len(loc) == last + 1:
         # A name no other has.
         owner[key] = copy.deepcopy(_UNREADABLE.get(key, f"unnamed {_spell(loc)}"))
-    elif key in ("people", "given", "levels") and len(loc) > last + 1:
+    elif key in ("people", "given", "levels", "data") and len(loc) > last + 1:
         owner[key][loc[last + 1]] = {}
     else:
         owner.pop(key, None)
@@ -333,6 +351,9 @@ def _map(
         mend = "is missing; give file, or polygons with bounds and resolution"
         return None, [Mistake(f"map.{key}", None, mend) for key in missing if not unclear]
     xmin, ymin, xmax, ymax = table.bounds
+    if not 1e-9 < table.resolution < 1e9 and table.resolution > 0:
+        mend = "is no size of a cell; give metres, such as 0.05"
+        return None, [Mistake("map.resolution", table.resolution, mend)]
     if (xmax - xmin) * (ymax - ymin) > MOST_CELLS * table.resolution**2 > 0:
         mend = f"makes a map of more than {MOST_CELLS:g} cells; give a coarser one"
         return None, [Mistake("map.resolution", table.resolution, mend)]
@@ -359,6 +380,35 @@ def _goal(table: _File) -> Sequence[Mistake]:
         mend = "asks for global plans without a goal; give [goal] position, or count = 0"
         return (Mistake("plans.count", count, mend),)
     return ()
+
+
+def _choices(table: _File) -> Iterable[Mistake]:
+    """Data that measures nothing or two things, or whose noise is stated twice or not at all."""
+    for i, datum in enumerate(table.data):
+        for one, other in (("position", "velocity"), ("sigma", "covariance")):
+            given = [k for k in (one, other) if getattr(datum, k) is not None]
+            if len(given) != 1:
+                mend = f"give either {one} or {other}"
+                yield Mistake(f"data[{i}]", sorted(datum.model_fields_set), mend)
+
+
+_PARTS = re.compile(r"(data\[\d+\])\.readings\[0\]\.(?:value|(\w+))")
+
+
+def _respelled(mistake: Mistake) -> Mistake:
+    """With the keys of [[data]], which holds one reading each."""
+    path = _PARTS.sub(lambda m: f"{m[1]}.{m[2]}" if m[2] else m[1], mistake.path)
+    return dataclasses.replace(mistake, path=path)
+
+
+def _measurement(datum: _Datum) -> Readings:
+    value = datum.position if datum.velocity is None else datum.velocity
+    quantity = "position" if datum.velocity is None else "velocity"
+    noise: Any = datum.covariance
+    if noise is None:  # one standard deviation for both axes; none at all is named as a mistake
+        noise = np.eye(2) * (1.0 if datum.sigma is None else datum.sigma * abs(datum.sigma))
+    where = _array((0.0, 0.0) if value is None else value)
+    return Readings((Reading(datum.time, where, _array(noise), quantity),), datum.on)  # type: ignore[arg-type]
 
 
 def _model(table: _Robot, unclear: bool) -> tuple[RobotModel, list[Mistake]]:
@@ -410,6 +460,7 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
         crowd=table.crowd.mode,  # type: ignore[arg-type]  # find_mistakes checks the word
         pairs=table.crowd.pairs,  # type: ignore[arg-type]
         density=Density(**table.density.stated()),
+        data=tuple(_measurement(datum) for datum in table.data),
         **{"name": stem, **optional},
     )
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from factors.residual import whitener
 from fgplan.errors import Mistake, ScenarioError
+from fgplan.measuring import ROBOT, Measurement, Reading
 from fgplan.robots import RobotModel
 from fgplan.scenario import FieldOfView, GivenPlan, Level, Scenario, Track
 
@@ -132,6 +133,8 @@ def find_mistakes(scenario: Scenario) -> Iterable[Mistake]:
         yield from _numbers("field_of_view", scenario.field_of_view, _FIELD_OF_VIEW)
         yield from _occlusion(scenario.field_of_view)
     yield from _levels(scenario.levels)
+    for i, measurement in enumerate(scenario.data):
+        yield from _data(f"data[{i}]", measurement, [level.name for level in scenario.levels])
 
 
 def placement(scenario: Scenario) -> Iterable[Mistake]:
@@ -306,10 +309,36 @@ def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
         if _NOT_NEGATIVE.allows(level.sigma) and 0 < level.sigma < NARROWEST:
             mend = f"give 0 for exactly its plan, or {NARROWEST:g} m or more"
             yield Mistake(f"levels[{i}].sigma", level.sigma, mend)
+        if level.name == ROBOT:
+            yield Mistake(f"levels[{i}].name", ROBOT, "is the robot itself; give another name")
     if levels and levels[0].sigma == np.inf:
         mend = "give a finite number: nothing else says where the first level is"
         yield Mistake("levels[0].sigma", levels[0].sigma, mend)
     yield from _distinct([level.name for level in levels], "levels[{}].name")
+
+
+def _data(path: str, data: Measurement, levels: Sequence[str]) -> Iterable[Mistake]:
+    if not isinstance(data, Measurement) or isinstance(data, type):
+        yield Mistake(path, data, "give a measurement, such as Readings((Reading(...),))")
+        return
+    if data.on not in (None, ROBOT, *levels):
+        mend = f"is not measured; give {ROBOT!r} or a level: {', '.join(map(repr, levels))}"
+        yield Mistake(f"{path}.on", data.on, mend)
+    for j, reading in enumerate(data.readings):
+        yield from _reading(f"{path}.readings[{j}]", reading, data.on)
+
+
+def _reading(path: str, reading: Reading, on: str | None) -> Iterable[Mistake]:
+    if reading.quantity not in ("position", "velocity"):
+        yield Mistake(f"{path}.quantity", reading.quantity, "give 'position' or 'velocity'")
+    if reading.time is None:
+        if reading.quantity == "velocity" or on == ROBOT:
+            mend = "only a position on a level may have no time; give one in seconds"
+            yield Mistake(f"{path}.time", None, mend)
+    elif not _CLOCK.allows(reading.time):
+        yield Mistake(f"{path}.time", _plain(reading.time), _CLOCK.mend)
+    yield from _points(f"{path}.value", reading.value, (2,))[1]
+    yield from _covariance(f"{path}.covariance", reading.covariance, 2)
 
 
 def _numbers(path: str, owner: object, ranges: dict[str, _Range]) -> Iterable[Mistake]:

@@ -27,7 +27,7 @@ RANKS = [
     {"safety"},
     {"starts", "mixture", "recordings"},
     {"hypotheses"},
-    {"gating"},
+    {"conditioning", "gating"},
     {"model"},
     {"assembly"},
     {"solver"},

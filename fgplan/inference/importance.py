@@ -160,10 +160,12 @@ def _kinematic(
 
 
 def _potentials(assembly: Assembly, which: int, X: Array) -> Array:
-    """Energy of what is neither a normalised density nor the robot's own, shape (N,)."""
+    """Energy of what the draws have not seen: all but the robot's own and the densities of the
+    others; data on the robot is a density, but none it was drawn from. Shape (N,)."""
     total = np.zeros(len(X))
     for wired, term in assembly.wired(which):
-        if not (term.robots_own or term.residual.log_normalizer):
+        of_robot = all(name == "robot" for name, _ in term.variables)
+        if not term.robots_own and (of_robot or not term.residual.log_normalizer):
             total += wired.residual.energy(*wired.variables(X)).sum(-1)
     return total
 

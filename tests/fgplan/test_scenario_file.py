@@ -484,3 +484,61 @@ def test_whatever_a_file_says_it_is_a_scenario_or_a_typed_error(data: st.DataObj
         paths = ["none"]
         validate(scenario)
     assert len(set(paths)) == len(paths) > 0
+
+
+DATA = """
+[[levels]]
+name = "way"
+
+[[data]]
+position = [4, 2.5]
+time = 3.0
+sigma = 0.5
+
+[[data]]
+on = "robot"
+velocity = [0.5, -0.5]
+time = 1
+covariance = [[0.04, 0.01], [0.01, 0.09]]
+
+[[data]]
+on = "way"
+position = [4, 2.5]
+sigma = 0.3
+"""
+
+
+def test_data_arrives(tmp_path: Path) -> None:
+    s = load(tmp_path, GOOD + DATA)
+    assert [measurement.on for measurement in s.data] == [None, "robot", "way"]
+    readings = [reading for measurement in s.data for reading in measurement.readings]
+    assert [(r.time, r.quantity) for r in readings] == [
+        (3.0, "position"),
+        (1.0, "velocity"),
+        (None, "position"),
+    ]
+    np.testing.assert_array_equal(readings[0].value, [4, 2.5])
+    np.testing.assert_array_equal(readings[0].covariance, 0.25 * np.eye(2))
+    np.testing.assert_array_equal(readings[1].covariance, [[0.04, 0.01], [0.01, 0.09]])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "path", "mend"),
+    [
+        ("sigma = 0.5", "sigma = -0.5", "data[0].covariance", "positive definite"),
+        ("sigma = 0.5", "", "data[0]", "either sigma or covariance"),
+        ("sigma = 0.5", "sigma = 1\nvelocity = [1, 1]", "data[0]", "either position or velocity"),
+        ("time = 3.0", "time = nan", "data[0].time", "finite time"),
+        ("time = 1\n", "", "data[1].time", "no time"),
+        ("[4, 2.5]\ntime", "[4, inf]\ntime", "data[0]", "finite numbers"),
+        ('on = "way"', 'on = "why"', "data[2].on", "'way'"),
+        ("time = 3.0", "tine = 3.0", "data[0].tine", "did you mean 'time'?"),
+        ("[0.01, 0.09]]", "[0.01]]", "data[1].covariance", "shape"),
+    ],
+)
+def test_mistakes_in_data_are_named(
+    tmp_path: Path, old: str, new: str, path: str, mend: str
+) -> None:
+    assert old in DATA
+    wrong = {m.path: m.mend for m in mistakes(tmp_path, GOOD + DATA.replace(old, new, 1))}
+    assert mend in wrong[path]

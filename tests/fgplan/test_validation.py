@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fgplan.errors import ScenarioError
+from fgplan.measuring import Reading, Readings
 from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.validation import find_mistakes, placement, validate
@@ -214,3 +215,43 @@ def test_plan_may_mend_a_start_that_placement_refuses() -> None:
     """`validate` leaves the map to the global planner: a robot may be pushed against a wall."""
     grid = OccupancyGrid.from_polygons([], (-1, -3, 4, 3), 0.1, border=True)
     validate(GOOD.replace(grid=grid, robot=Robot(np.array([-0.95, 0.0]))))
+
+
+def data(on: str | None = None, **changes: Any) -> Scenario:
+    good = Reading(1.0, np.array([2.0, 1.0]), 0.1 * np.eye(2))
+    return GOOD.replace(data=(Readings((good,)), Readings((good, replace(good, **changes)), on)))
+
+
+def test_good_data_passes() -> None:
+    validate(data())
+    validate(data(time=None))
+    validate(data("robot", time=-3.0))
+    validate(data("tactics", quantity="velocity"))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "mend"),
+    [
+        ("time", np.nan, "finite time"),
+        ("time", "now", "finite time"),
+        ("value", np.array([np.nan, 0.0]), "finite numbers"),
+        ("value", np.zeros(3), "shape"),
+        ("covariance", np.diag([1.0, 0.0]), "positive definite"),
+        ("covariance", np.diag([1.0, -1.0]), "positive definite"),
+        ("covariance", np.array([[1.0, 0.5], [0.0, 1.0]]), "symmetric"),
+        ("covariance", np.eye(3), "shape"),
+        ("quantity", "speed", "'position' or 'velocity'"),
+    ],
+)
+def test_bad_reading_is_named(name: str, value: object, mend: str) -> None:
+    wrong = found(data(**{name: value}))
+    assert list(wrong) == [f"data[1].readings[1].{name}"]
+    assert mend in wrong[f"data[1].readings[1].{name}"]
+
+
+def test_data_on_what_does_not_exist_or_has_no_time_is_named() -> None:
+    assert "'mission', 'tactics'" in found(data("strategy"))["data[1].on"]
+    for wrong in (data("robot", time=None), data(quantity="velocity", time=None)):
+        assert "no time" in found(wrong)["data[1].readings[1].time"]
+    assert "measurement" in found(GOOD.replace(data=(3,)))["data[0]"]
+    assert "robot itself" in found(level(name="robot"))["levels[0].name"]

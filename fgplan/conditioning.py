@@ -1,0 +1,283 @@
+"""Data on the levels and the robot → factors, and weights of the hypotheses: p(η, i | data).
+
+Each datum enters once. On a level that is random it is a factor of that level: it bends the
+trajectory, and reweights the hypotheses through energy and evidence. On a level without width,
+which is the hypothesis's plan itself, it can only reweight: its density, evaluated on the plan at
+the datum's own time, goes into the hypothesis's weight.
+
+Time stamps, for a level that is random:
+
+- none: the time at which the hypothesis's plan comes nearest to the position;
+- between two steps: exactly, by the level's own process between its states;
+- beyond the horizon: by the process from the last state on;
+- before now: by the process from then to now, as a density of the state now, so that old data
+  fades as the process forgets and by nothing else. What the past says against the whole hypothesis
+  is part of the hypothesis's weight.
+
+The robot's own past is known, so data about it before now says nothing more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.markov import (
+    Matern,
+    Memory,
+    Process,
+    Seen,
+    WhiteAcceleration,
+    between,
+    beyond,
+    remembered,
+)
+from factors.residual import Linear, log_gaussian_normalizer, whitener
+from fgplan.hypothesis import Hypothesis
+from fgplan.measuring import ROBOT, Measurement, Reading
+from fgplan.robots import Piece
+from fgplan.scenario import Density, Level, Scenario
+from fgplan.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Stamped = tuple[float, Reading]
+"""A reading and its time from now [s]."""
+
+LOOK = 0.1
+"""How finely the nearest time to a position is looked for at first [s]."""
+
+
+def reweigh(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Hypotheses with log p(i | data) for log w_i, as far as data does not bend their levels.
+
+    That is: all data on levels without width, and what data before now says against a level that
+    is random. Without data the hypotheses are returned as they are.
+    """
+    hypotheses = tuple(hypotheses)
+    if not scenario.data or any(h.plan is None for h in hypotheses):
+        return hypotheses
+    against = np.zeros(len(hypotheses))
+    for index, level in enumerate(scenario.levels):
+        data = measuring(scenario, level.name)
+        if level.sigma == 0:
+            against += [_on_plan(scenario, data, h) for h in hypotheses]
+        elif data:
+            memory = _memory(scenario, index, hypotheses)
+            against += 0.0 if memory is None else memory.energy
+            against += [_passed(scenario, level, data, h) for h in hypotheses]
+    score = np.array([h.log_prior for h in hypotheses]) - against
+    score -= np.logaddexp.reduce(score)
+    return tuple(
+        replace(h, log_prior=weight) for h, weight in zip(hypotheses, score.tolist(), strict=True)
+    )
+
+
+def measuring(scenario: Scenario, name: str) -> tuple[Measurement, ...]:
+    """The data on one level, or on the robot."""
+    first = scenario.levels[0].name
+    return tuple(m for m in scenario.data if (first if m.on is None else m.on) == name)
+
+
+def log_likelihood(
+    readings: Iterable[Reading], course: Trajectory, now: float = 0.0, spread: float = 0.0
+) -> float:
+    """log p(z | η) of readings of a known trajectory, up to a constant of the readings [nats].
+
+    Args:
+        readings: On the clock of `now`; one without a time is where the trajectory is nearest.
+        course: Times from now; outside of them its first or last velocity is held.
+        now: [s].
+        spread: Variance of η around the course [m²] or [m²/s²], beside the noise of a reading.
+    """
+    total = 0.0
+    for reading in readings:
+        time = nearest(reading, course) if reading.time is None else reading.time - now
+        W = whitener(np.asarray(reading.covariance) + spread * np.eye(2))
+        error = W @ (reading.value - _matrix(reading) @ course.at(time))
+        total -= 0.5 * float(error @ error)
+    return total
+
+
+def nearest(reading: Reading, course: Trajectory) -> float:
+    """When a trajectory is nearest to a position, in units of its noise; the first time, if it is
+    so more than once."""
+    W = whitener(reading.covariance)
+
+    def distance(t: Any) -> Array:
+        return np.asarray(np.sum(((course.at(t)[..., :2] - reading.value) @ W.T) ** 2, axis=-1))
+
+    first, last = float(course.times[0]), float(course.times[-1])
+    times = np.linspace(first, last, 1 + max(1, int(np.ceil((last - first) / LOOK))))
+    for _ in range(3):  # each round looks closer around the best of the one before
+        best = int(np.argmin(np.round(distance(times), 9)))
+        low, high = times[max(best - 1, 0)], times[min(best + 1, len(times) - 1)]
+        found, times = float(times[best]), np.linspace(low, high, 41)
+    return found
+
+
+def robot_pieces(scenario: Scenario) -> Iterable[Piece]:
+    """Data on f^R, on states (x, y, vx, vy)."""
+    d, now = scenario.density, scenario.now
+    data = measuring(scenario, ROBOT)
+    if not data:
+        return
+    process = WhiteAcceleration(d.Qc_robot)
+    timed = [(r.time - now, r) for r in _readings(data) if r.time is not None]
+    for k, seen, group in _grouped(process, timed, d):
+        z = np.concatenate([reading.value for _, reading in group])
+        yield _piece("robot data", k, seen, z)
+    for measurement in data:
+        yield from measurement.pieces(now, d.times)
+
+
+@dataclass(frozen=True, eq=False)
+class LevelData:
+    """Data on one random level under one hypothesis.
+
+    Args:
+        now: Density of the level's state now, given the data before now: instead of the level's
+            own prior of that state. None where there is no such data.
+        pieces: Data from now on.
+    """
+
+    now: Linear | None = None
+    pieces: tuple[Piece, ...] = ()
+
+
+def on_level(
+    scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]
+) -> tuple[LevelData, ...]:
+    """Data on a random level, for each hypothesis."""
+    d, now, level = scenario.density, scenario.now, scenario.levels[index]
+    data = measuring(scenario, level.name)
+    if not data:
+        return (LevelData(),) * len(hypotheses)
+    memory = _memory(scenario, index, hypotheses)
+    process, readings = _process(level, d), _readings(data)
+    stamped = [(r.time - now, r) for r in readings if r.time is not None]
+    groups = list(_grouped(process, stamped, d))
+    extra = [p for m in data for p in m.pieces(now, d.times)]
+    found = []
+    for i, hypothesis in enumerate(hypotheses):
+        mean = _mean(level, hypothesis)
+        free = [(nearest(r, hypothesis.along), r) for r in readings if r.time is None]
+        own = [g for one in free for g in _grouped(process, [one], d)]
+        pieces = []
+        for k, seen, group in groups + own:
+            z = np.concatenate([_deviation(reading, mean, t) for t, reading in group])
+            if mean is not None:
+                states = mean.at(d.times[k : k + len(seen.weights)])
+                z = z + sum(w @ x for w, x in zip(seen.weights, states, strict=True))
+            pieces.append(_piece(f"{level.name} data", k, seen, z))
+        state_now = None if memory is None else _state_now(memory, i, mean)
+        found.append(LevelData(state_now, (*pieces, *extra)))
+    return tuple(found)
+
+
+def _on_plan(scenario: Scenario, data: Sequence[Measurement], hypothesis: Hypothesis) -> float:
+    """−log p(data | η = the plan) [nats]."""
+    assert hypothesis.plan is not None
+    times, states = scenario.density.times, hypothesis.plan.states
+    energy = -log_likelihood(_readings(data), hypothesis.along, scenario.now)
+    for measurement in data:
+        for piece in measurement.pieces(scenario.now, times):
+            steps = piece.steps(len(times) - 1)
+            x = [states[steps.start + o : steps.stop + o] for o in piece.offsets]
+            energy += float(np.sum(piece.residual.energy(*x)))
+    return energy
+
+
+def _passed(
+    scenario: Scenario, level: Level, data: Sequence[Measurement], hypothesis: Hypothesis
+) -> float:
+    """−log p of the positions without a time that the plan has already been nearest to."""
+    past = [
+        reading
+        for reading in _readings(data)
+        if reading.time is None and nearest(reading, hypothesis.along) < 0
+    ]
+    width = level.sigma**2 if np.isfinite(level.sigma) else level.h
+    return -log_likelihood(past, hypothesis.along, scenario.now, width)
+
+
+def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) -> Memory | None:
+    """What data before now says about the deviation of a random level from its mean now."""
+    level, now = scenario.levels[index], scenario.now
+    readings = _readings(measuring(scenario, level.name))
+    past = [(r.time - now, r) for r in readings if r.time is not None and r.time < now]
+    if not past:
+        return None
+    means = [_mean(level, h) for h in hypotheses]
+    z = [np.concatenate([_deviation(r, mean, t) for t, r in past]) for mean in means]
+    return remembered(
+        _process(level, scenario.density),
+        [-t for t, _ in past],
+        [_matrix(reading) for _, reading in past],
+        np.stack(z, axis=1),
+        [reading.covariance for _, reading in past],
+    )
+
+
+def _state_now(memory: Memory, i: int, mean: Trajectory | None) -> Linear:
+    """A level's state now given the past; a density where the past fixes all of it."""
+    b = memory.b[:, i]
+    if mean is not None:
+        b = b + memory.A @ mean.at(0.0)
+    rows, size = memory.A.shape
+    normalizer = log_gaussian_normalizer(memory.A) if rows == size else 0.0
+    return Linear((memory.A,), b, normalizer)
+
+
+def _process(level: Level, density: Density) -> Process:
+    if np.isfinite(level.sigma):
+        return Matern(level.sigma, level.length)
+    return WhiteAcceleration(density.Qc_robot)
+
+
+def _mean(level: Level, hypothesis: Hypothesis) -> Trajectory | None:
+    """Mean of a random level: the plan, at all times; None where it has no prior of its own."""
+    return hypothesis.along if np.isfinite(level.sigma) else None
+
+
+def _readings(data: Iterable[Measurement]) -> list[Reading]:
+    return [reading for measurement in data for reading in measurement.readings]
+
+
+def _grouped(
+    process: Process, stamped: Iterable[Stamped], density: Density
+) -> Iterable[tuple[int, Seen, list[Stamped]]]:
+    """Readings from now on by interval: its first step, what they say of its states, which."""
+    T, dt = density.steps, density.dt
+    groups: dict[int, list[Stamped]] = {}
+    for t, reading in sorted(stamped, key=lambda one: one[0]):
+        if t >= 0:
+            groups.setdefault(min(T, int(t / dt)), []).append((t, reading))
+    for k, group in groups.items():
+        H, R = [_matrix(r) for _, r in group], [np.asarray(r.covariance) for _, r in group]
+        tau = [
+            float(np.clip(t - density.times[k], 0.0, np.inf if k == T else dt)) for t, _ in group
+        ]
+        seen = beyond(process, tau, H, R) if k == T else between(process, dt, tau, H, R)
+        yield k, seen, group
+
+
+def _piece(name: str, k: int, seen: Seen, z: Array) -> Piece:
+    W = whitener(0.5 * (seen.covariance + seen.covariance.T))
+    residual = Linear(tuple(W @ w for w in seen.weights), W @ z, log_gaussian_normalizer(W))
+    return Piece(name, residual, tuple(range(len(seen.weights))), k, k)
+
+
+def _matrix(reading: Reading) -> Array:
+    """H, shape (2, 4)."""
+    return np.eye(2, 4, k=0 if reading.quantity == "position" else 2)
+
+
+def _deviation(reading: Reading, mean: Trajectory | None, t: float) -> Array:
+    """A reading less the mean at that time, shape (2,)."""
+    if mean is None:
+        return np.asarray(reading.value, dtype=float)
+    return np.asarray(reading.value - _matrix(reading) @ mean.at(t))

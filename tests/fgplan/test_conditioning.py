@@ -1,0 +1,215 @@
+"""Data of the levels: weights on fixed plans, factors on random ones, and never both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors.markov import Matern
+from fgplan import (
+    Density,
+    DifferentialDrive,
+    GivenPlan,
+    Level,
+    Reading,
+    Readings,
+    Robot,
+    Scenario,
+    Track,
+    plan,
+)
+from fgplan.assembly import Assembly
+from fgplan.conditioning import log_likelihood, nearest, reweigh
+from fgplan.crowd import believe
+from fgplan.hypotheses import hypothesise
+from fgplan.model import build
+from fgplan.solver import GtsamLM, SecondOrder
+from fgplan.trajectory import Trajectory
+from tests.factors.test_markov import covariance
+
+UP, DOWN = np.array([[0, 0], [8, 3.0]]), np.array([[0, 0], [8, -3.0]])
+PLANS = (GivenPlan("up", UP, 1.0), GivenPlan("down", DOWN, 1.0))
+
+
+PATH = Level()
+
+
+def scenario(*readings, on=None, level=PATH, **changes):
+    base = Scenario(
+        Robot(np.zeros(2), np.array([0.8, 0.0])), plans=PLANS, count=0, levels=(level,),
+        density=Density(dt=0.4, horizon=2.0), now=10.0,
+    )  # fmt: skip
+    data = (Readings(tuple(readings), on),) if readings else ()
+    return base.replace(**{"data": data, **changes})
+
+
+def hypotheses(s):
+    return hypothesise(s, believe((), s.now, 0.03, 0.04, 1.5))
+
+
+def models(s):
+    belief = believe((), s.now, 0.03, 0.04, 1.5)
+    weighed = reweigh(s, hypothesise(s, belief))
+    return weighed, build(s, belief, weighed)
+
+
+def reading(t, value, sigma=0.1, quantity="velocity"):
+    return Reading(t, np.array(value, dtype=float), sigma**2 * np.eye(2), quantity)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.5])
+@pytest.mark.parametrize("crowded", [False, True])
+def test_no_data_is_the_same_plan_to_the_last_bit(sigma, crowded):
+    tracks = (Track("p", np.array([9.6, 10.0]), np.array([[3.0, 0.1], [2.8, 0.1]])),)
+    s = scenario(level=Level(sigma=sigma), tracks=tracks if crowded else ())
+    without = plan(s)
+    for nothing in ((), (Readings(()),), (Readings((), "robot"),)):
+        other = plan(s.replace(data=nothing))
+        for a, b in zip(without.components, other.components, strict=True):
+            np.testing.assert_array_equal(a.robot.states, b.robot.states)
+            assert (a.log_prior, a.energy, a.log_evidence) == (
+                b.log_prior,
+                b.energy,
+                b.log_evidence,
+            )
+
+
+def test_data_on_a_plan_without_width_only_reweighs():
+    quiet, told = plan(scenario()), plan(scenario(reading(10.4, (0.7, 0.25))))
+    for c in told.components:
+        same = next(q for q in quiet.components if q.label == c.label)
+        np.testing.assert_allclose(c.robot.states, same.robot.states, atol=1e-9)
+        assert c.energy == pytest.approx(same.energy, abs=1e-9)
+    assert told.components[0].label == "up"
+    assert told.components[0].log_prior > quiet.components[0].log_prior
+
+
+def test_weights_of_fixed_plans_are_bayes_rule_at_the_datums_own_time():
+    z, sigma = np.array([0.6, 0.1]), 0.3
+    s = scenario(reading(10.7, z, sigma))
+    weighed = {h.label: h for h in reweigh(s, hypotheses(s))}
+    density = {
+        label: 0.5 * np.exp(-0.5 * np.sum((z - h.along.at(0.7)[2:]) ** 2) / sigma**2)
+        for label, h in weighed.items()
+    }
+    for label, h in weighed.items():
+        assert np.exp(h.log_prior) == pytest.approx(
+            density[label] / sum(density.values()), abs=1e-12
+        )
+
+
+def test_data_on_a_random_level_is_dense_regression():
+    """Posterior of η_0 with readings before now, between the steps and beyond the horizon."""
+    level = Level(sigma=0.6, length=2.0, h=1e9)  # so wide a coupling tells η_0 nothing
+    readings = (
+        reading(8.9, (0.2, 0.9)), reading(9.6, (0.3, 0.8)), reading(10.1, (0.5, 0.2)),
+        reading(10.15, (0.6, 0.1)), reading(11.3, (1.0, 0.4), 0.2, "position"),
+        reading(12.9, (2.0, 1.0), 0.3, "position"),
+    )  # fmt: skip
+    s = scenario(*readings, level=level)
+    weighed, built = models(s)
+    t = np.array([r.time - 10.0 for r in readings])
+    steps = s.density.times
+    every = np.concatenate([t, steps])
+    order = np.argsort(every, kind="stable")
+    process = Matern(0.6, 2.0)
+    C = np.empty((4 * len(every),) * 2)
+    rows = np.concatenate([np.arange(4 * i, 4 * i + 4) for i in order])
+    C[np.ix_(rows, rows)] = covariance(process, every[order] - every.min(), process.stationary)
+    n = len(readings)
+    H = np.zeros((2 * n, 4 * len(every)))
+    for j, r in enumerate(readings):
+        H[2 * j : 2 * j + 2, 4 * j : 4 * j + 4] = np.eye(2, 4, k=2 * (r.quantity == "velocity"))
+    S = H @ C @ H.T + np.diag(np.repeat([r.covariance[0, 0] for r in readings], 2))
+    log_z = []
+    for i, model in enumerate(built):
+        mean = weighed[i].along.at(every).ravel()
+        z = np.concatenate([r.value for r in readings]) - H @ mean
+        posterior = mean + C @ H.T @ np.linalg.solve(S, z)
+        log_z.append(-0.5 * z @ np.linalg.solve(S, z))
+        start, which = model.initial(weighed[i].starts[0])[None], np.array([i])
+        solution = SecondOrder().solve(Assembly(built), start, which)[0]
+        found = solution.state[:, model.columns["level 0"]]
+        np.testing.assert_allclose(found.ravel(), posterior[4 * n :], atol=1e-6)
+        again = GtsamLM().solve(Assembly(built), start, which)[0]
+        np.testing.assert_allclose(again.state, solution.state, atol=1e-5)
+        # The robot, all but free of η_0, costs next to nothing: what is left is −log p(data | i).
+        log_z[-1] += solution.energy - weighed[i].log_prior
+    assert log_z[0] == pytest.approx(log_z[1], abs=1e-5)
+
+
+def test_order_of_arrival_does_not_matter_but_time_stamps_do():
+    rng = np.random.default_rng(2)
+    times = rng.uniform(8.5, 12.5, 12)
+    values = rng.normal([0.7, 0.2], 0.3, (12, 2))
+    readings = [reading(t, v, 0.2) for t, v in zip(times, values, strict=True)]
+    level = Level(sigma=0.5)
+
+    def planned(data):
+        return plan(scenario(level=level).replace(data=data))
+
+    batch = planned((Readings(tuple(readings)),))
+    one_by_one = planned(tuple(Readings((readings[j],)) for j in rng.permutation(12)))
+    moved = rng.permutation(times)
+    shuffled = planned(
+        (Readings(tuple(reading(t, r.value, 0.2) for t, r in zip(moved, readings, strict=True))),)
+    )
+    for a, b in zip(batch.components, one_by_one.components, strict=True):
+        np.testing.assert_allclose(a.robot.states, b.robot.states, atol=1e-10)
+        assert a.log_prior == pytest.approx(b.log_prior, abs=1e-10)
+        assert a.energy == pytest.approx(b.energy, abs=1e-9)
+    assert (
+        np.abs(batch.components[0].robot.states - shuffled.components[0].robot.states).max() > 1e-3
+    )
+
+
+def test_old_data_fades():
+    """A push to the left bends the plan less the longer ago it was."""
+
+    def bend(age):
+        pushed = (reading(10 - age - k / 10, (0.8, 0.5)) for k in range(5))
+        straight = (GivenPlan("on", np.array([[0, 0], [8, 0.0]])),)
+        s = scenario(*pushed, level=Level(sigma=0.5, length=2.0), plans=straight)
+        best = plan(s).components[0]
+        return best.robot.positions[-1, 1]
+
+    bends = [bend(age) for age in (0.05, 1.0, 2.0, 4.0, 30.0)]
+    assert bends[0] > 0.1
+    assert np.all(np.diff(bends) < 0)
+    assert bends[-1] == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("vehicle", [None, DifferentialDrive()])
+def test_data_on_the_robot_bends_the_robot(vehicle):
+    robot = Robot(np.zeros(2), np.array([0.8, 0.0]), heading=0.0)
+    if vehicle is not None:
+        robot = Robot(np.zeros(2), np.array([0.8, 0.0]), heading=0.0, model=vehicle)
+    there = reading(11.5, (1.0, 0.3), 0.02, "position")
+    s = scenario(there, on="robot", robot=robot)
+    best = plan(s).components[0]
+    np.testing.assert_allclose(best.robot.at(1.5)[:2], [1.0, 0.3], atol=0.05)
+    past, none = (
+        plan(scenario(*told, on="robot", robot=robot)).components[0].robot.states
+        for told in ([reading(9.5, (0.0, 5.0))], [])
+    )
+    np.testing.assert_array_equal(past, none)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.5])
+def test_a_position_without_a_time_is_where_each_plan_is_nearest(sigma):
+    place = Reading(None, np.array([1.5, 0.56]), 0.01 * np.eye(2))
+    s = scenario(place, level=Level(sigma=sigma))
+    mixture = plan(s)
+    assert mixture.components[0].label == "up"
+    up = {h.label: h for h in hypotheses(s)}["up"]
+    t = nearest(place, up.along)
+    fine = np.linspace(0, 8, 80001)
+    gap = np.linalg.norm(up.along.at(fine)[:, :2] - place.value, axis=1)
+    assert t == pytest.approx(fine[np.argmin(gap)], abs=1e-3)
+
+
+def test_log_likelihood_of_a_known_trajectory():
+    positions, ahead = np.array([[0, 0], [1, 0.0]]), np.array([[1, 0], [1, 0.0]])
+    line = Trajectory(np.array([0.0, 1.0]), positions, ahead)
+    zs = (reading(0.5, (0.5, 0.2), 0.1, "position"), reading(3.0, (1.0, 0.3), 0.2))
+    assert log_likelihood(zs, line) == pytest.approx(-0.5 * (4 + 2.25), abs=1e-12)
