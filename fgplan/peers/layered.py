@@ -57,11 +57,17 @@ class Settings:
     Args:
         window: Limits of the robot, and the roll-out.
         inflation: Of both costmaps; its `inscribed` is the robot's radius.
+        padding: Added to that radius, as footprint_padding [m]: half the diagonal of a cell of 0.1 m, or the edge
+            of the robot would touch what cells do not show.
         weights: Of the dynamic window.
         people_in: "local": people are in the local costmap alone; "global": in both.
         person_radius: [m].
         speeds: Samples of v in the window.
         turns: Samples of ω.
+        min_speed: A command slower than this [m/s] and `min_turn` is not tried (min_vel_trans):
+            a robot whose nose is at a wall would stand for ever.
+        min_turn: [rad/s] (min_vel_theta).
+        oscillation: Who turned on the spot must not turn back before moving this far [m].
         planner_period: Time between two global plans [s].
         local_side: Of the local costmap's square [m].
         tolerance: xy_goal_tolerance [m].
@@ -77,11 +83,15 @@ class Settings:
 
     window: Window = field(default_factory=Window)
     inflation: Inflation = field(default_factory=lambda: Inflation(0.25))
+    padding: float = 0.07
     weights: Weights = field(default_factory=Weights)
     people_in: Literal["local", "global"] = "local"
     person_radius: float = 0.3
     speeds: int = 8
     turns: int = 21
+    min_speed: float = 0.1
+    min_turn: float = 0.1
+    oscillation: float = 0.05
     planner_period: float = 1.0
     local_side: float = 6.0
     tolerance: float = 0.25
@@ -112,6 +122,8 @@ class _Memory:
     tried: int = 0
     recovery: str | None = None
     until: float = -np.inf
+    turning: float = 0.0
+    turned_at: Array = field(default_factory=lambda: np.full(2, np.inf))
 
 
 class LayeredStack:
@@ -125,6 +137,8 @@ class LayeredStack:
         self.settings = Settings() if settings is None else settings
         self._memory: _Memory | None = None
         self._static: tuple[OccupancyGrid, Costmap] | None = None
+        inflation, padding = self.settings.inflation, self.settings.padding
+        self._inflation = replace(inflation, inscribed=inflation.inscribed + padding)
 
     @property
     def path(self) -> Array | None:
@@ -176,7 +190,7 @@ class LayeredStack:
     def _local(self, grid: OccupancyGrid, people: Array, pose: Array) -> Costmap:
         settings = self.settings
         part = window(grid, pose[:2], settings.local_side)
-        return Costmap.build(part, settings.inflation, people, settings.person_radius)
+        return Costmap.build(part, self._inflation, people, settings.person_radius)
 
     def _plan(
         self, memory: _Memory, time: float, pose: Array, people: Array, grid: OccupancyGrid
@@ -184,10 +198,10 @@ class LayeredStack:
         """A global plan; where there is none the last one is kept."""
         settings = self.settings
         if settings.people_in == "global":
-            whole = Costmap.build(grid, settings.inflation, people, settings.person_radius)
+            whole = Costmap.build(grid, self._inflation, people, settings.person_radius)
         else:
             if self._static is None or self._static[0] is not grid:
-                self._static = (grid, Costmap.build(grid, settings.inflation))
+                self._static = (grid, Costmap.build(grid, self._inflation))
             whole = self._static[1]
         path = shortest_path(whole, pose[:2], memory.goal)
         memory.planned = time
@@ -205,14 +219,28 @@ class LayeredStack:
         scene = Scene.build(local, _ahead(memory.path, pose), weights)
         if scene is None:
             return Command(STOP, Status.NO_VALID_PATH, "the plan has left the local costmap")
-        commands = settings.window.lattice(velocity, settings.speeds, settings.turns)
+        commands = self._commands(memory, pose, velocity)
         choice = choose(scene, settings.window.roll_out(pose, commands))
         if choice.index is None:
             return Command(
                 _brake(settings.window, velocity), Status.NO_VALID_CONTROL, "all rejected"
             )
         v, w = commands[choice.index].tolist()
+        if abs(v) < settings.min_speed and memory.turning == 0.0:
+            memory.turning, memory.turned_at = float(np.sign(w)), pose[:2].copy()
         return Command(Twist(v, 0.0, w), Status.FOLLOWING)
+
+    def _commands(self, memory: _Memory, pose: Array, velocity: Any) -> Array:
+        """The lattice of the dynamic window, without what hardly moves, and without turning back
+        on the spot (dwa_local_planner's OscillationCostFunction)."""
+        settings = self.settings
+        if np.linalg.norm(pose[:2] - memory.turned_at) > settings.oscillation:
+            memory.turning = 0.0
+        commands = settings.window.lattice(velocity, settings.speeds, settings.turns)
+        slow = np.abs(commands[:, 0]) < settings.min_speed - 1e-9
+        idle = slow & (np.abs(commands[:, 1]) < settings.min_turn - 1e-9)
+        back = slow & (commands[:, 1] * memory.turning < 0)
+        return np.asarray(commands[~(idle | back)])
 
     def _note_progress(self, memory: _Memory, time: float, pose: Array) -> None:
         if np.linalg.norm(pose[:2] - memory.anchor) > self.settings.progress_radius:

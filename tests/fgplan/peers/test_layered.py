@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from factors.unicycle import advance
 from fgplan import OccupancyGrid
@@ -138,3 +140,62 @@ def test_it_plans_once_a_second() -> None:
         paths.append(id(stack.path))
     assert len(set(paths)) == 3
     assert LayeredStack().path is None
+
+
+def random_map(seed: int) -> tuple[OccupancyGrid, np.random.Generator]:
+    """A walled hall of 12 m by 8 m with up to seven blocks."""
+    rng = np.random.default_rng(seed)
+    occupied = np.zeros((80, 120), dtype=bool)
+    occupied[[0, -1], :] = occupied[:, [0, -1]] = True
+    for _ in range(int(rng.integers(0, 8))):
+        row, col = rng.integers(5, 70), rng.integers(15, 100)
+        occupied[row : row + rng.integers(3, 15), col : col + rng.integers(3, 12)] = True
+    return OccupancyGrid.from_array(occupied, 0.1, (-2.0, -4.0, 0.0)), rng
+
+
+def free_point(grid: OccupancyGrid, rng: np.random.Generator, left: float, right: float) -> Any:
+    """Somewhere at 0.4 m from every obstacle, or more."""
+    while True:
+        point = rng.uniform([left, -3.5], [right, 3.5])
+        if grid.clearance(point[None], 0.4)[0] > 0:
+            return point
+
+
+@pytest.mark.parametrize("where", ["local", "global"])
+def test_it_drives_round_obstacles_and_people_on_random_maps(where: Any) -> None:
+    for seed in range(6):
+        grid, rng = random_map(seed)
+        start, goal = free_point(grid, rng, -1.5, 0), free_point(grid, rng, 8, 9.5)
+        first, speed = rng.uniform([1, -3], [8, 3], (4, 2)), rng.normal(0, 0.3, (4, 2))
+        states, ends, _ = drive(
+            grid, [*start, rng.uniform(-3, 3)], goal,
+            lambda t, first=first, speed=speed: first + speed * min(t, 20.0),  # type: ignore[misc]
+            Settings(people_in=where), seconds=60.0,
+        )  # fmt: skip
+        assert ends[-1] is Status.REACHED, seed
+        assert clearance(grid, states) > 0
+
+
+def test_who_looks_at_a_wall_turns_away_from_it() -> None:
+    """With `min_speed = 0` it stands there, and every recovery ends where it began."""
+    occupied = np.zeros((80, 120), dtype=bool)
+    occupied[48:58, 20:30] = True
+    grid = OccupancyGrid.from_array(occupied, 0.1, (-2.0, -4.0, 0.0))
+    _, ends, reasons = drive(grid, [-0.37, 1.3, 0.6], [9.0, 1.3])
+    assert ends[-1] is Status.REACHED
+    assert set(reasons) == {""}
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40, deadline=None)
+def test_it_never_fails_whatever_it_is_given(seed: int) -> None:
+    """In walls, outside of the map, at any speed, people on top of it: a finite command within the
+    window, or a stop."""
+    grid, rng = random_map(seed % 20)
+    stack, goal = LayeredStack(), rng.uniform([-4, -6], [12, 6])
+    for k in range(4):
+        people = rng.uniform([-4, -6], [12, 6], (int(rng.integers(0, 6)), 2))
+        pose = rng.uniform([-4, -6, -10], [12, 6, 10])
+        twist = stack.step(0.7 * k, pose, rng.uniform(-2, 2, 2), people, grid, goal).twist
+        assert np.isfinite([twist.linear_x, twist.angular_z]).all()
+        assert twist.linear_y == 0
