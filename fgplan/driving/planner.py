@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading, visible
+from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
 from fgplan.driving.guard import Guarded, Others, Tier, guard
+from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
-from fgplan.driving.pricing import Blockage
 from fgplan.driving.pricing import update as update_blockages
 from fgplan.driving.proposals import price, propose, route
 from fgplan.driving.routing import Routes
@@ -20,7 +21,7 @@ from fgplan.driving.settings import Settings
 from fgplan.driving.tracking import People, Tracker
 from fgplan.errors import NoPlan
 from fgplan.hypothesis import Hypothesis
-from fgplan.mixture import Action, Component, Mixture
+from fgplan.mixture import Component, Mixture
 from fgplan.planner import plan
 from fgplan.scenario import Robot, Scenario
 from fgplan.trajectory import Trajectory
@@ -34,35 +35,6 @@ Source = Callable[[Scenario, Belief], Sequence[Hypothesis]]
 
 STANDS = 0.05
 """A robot that is to move less than this in the next second waits [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Memory:
-    """What one step leaves for the next one.
-
-    Args:
-        scenario: What was known.
-        observation: The last one that was believed; None before the first.
-        people: Everybody who is followed.
-        routes: The global plans.
-        blockages: Where people stood in the way.
-        mixture: The last plan, for a warm start.
-        trajectory: What is being driven, from `observation.time` on.
-        followed: Name of the hypothesis that is followed.
-        jumped: Whether the last observation was refused because the robot jumped.
-        nearest: Shortest way to the goal so far [m], and when it was reached [s].
-    """
-
-    scenario: Scenario
-    observation: Observation | None = None
-    people: People = field(default_factory=People)
-    routes: Routes = field(default_factory=Routes)
-    blockages: tuple[Blockage, ...] = ()
-    mixture: Mixture | None = None
-    trajectory: Trajectory | None = None
-    followed: str | None = None
-    jumped: bool = False
-    nearest: tuple[float, float] = (np.inf, -np.inf)
 
 
 class Planner:
@@ -102,7 +74,7 @@ class Planner:
             decision, self.memory = self._decide(self.memory, observation, began)
         except Exception as error:  # a robot must stop, whatever is wrong with its planner
             why = f"{type(error).__name__}: {error}"
-            decision = _halt(self.memory, self.settings, Outcome.NO_VALID_CONTROL, why)
+            decision = halt(self.memory, self.settings, Outcome.NO_VALID_CONTROL, why)
         return replace(decision, seconds=perf_counter() - began)
 
     def _decide(
@@ -225,7 +197,7 @@ class Planner:
         nearest = _progress(memory, scenario)
         decision = Decision(
             time=scenario.now,
-            action=_action(scenario, settings, safe, reason),
+            action=action_of(scenario, safe, reason),
             outcome=outcome,
             reason=reason,
             trajectory=driven,
@@ -234,7 +206,12 @@ class Planner:
             repairs=repairs,
         )
         memory = replace(
-            memory, mixture=mixture, trajectory=driven, followed=label, nearest=nearest
+            memory,
+            mixture=mixture,
+            trajectory=driven,
+            started=scenario.now,
+            followed=label,
+            nearest=nearest,
         )
         return decision, memory
 
@@ -275,37 +252,32 @@ class Planner:
         """Without a usable observation: the last safe plan goes on, or the robot stops."""
         settings, last = self.settings, memory.observation
         if last is None or memory.trajectory is None:
-            return _halt(memory, settings, Outcome.BAD_OBSERVATION, problem), memory
-        time = observation.time if np.isfinite(observation.time) else last.time
-        since = max(time - last.time, 0.0) if time > last.time else settings.period
-        state = memory.trajectory.at(since)
-        robot = replace(memory.scenario.robot, position=state[:2], velocity=state[2:])
-        if memory.trajectory.headings is not None:
-            ahead = memory.trajectory.resampled(np.array([since]))
-            assert ahead.headings is not None
-            assert ahead.yaw_rates is not None
-            robot = replace(
-                robot, heading=float(ahead.headings[0]), yaw_rate=float(ahead.yaw_rates[0])
-            )
-        scenario = memory.scenario.replace(robot=robot, now=last.time + since)
+            return halt(memory, settings, Outcome.BAD_OBSERVATION, problem), memory
+        # A clock that stands, runs back or is none at all says that one more period is over.
+        since = observation.time - memory.started
+        if not 0 < since < np.inf:
+            since = settings.period
+        ahead = shifted(memory.trajectory, since, memory.scenario.density.times)
+        scenario = memory.scenario.replace(
+            robot=at_start_of(ahead, memory.scenario.robot), now=memory.started + since
+        )
         belief = self._tracker.predict(memory.people, scenario.now).belief(
             scenario.density.Qc_people
         )
-        wanted = _shifted(memory.trajectory, since, scenario.density.times)
-        if since > memory.trajectory.times[-1]:
-            wanted = _standing(scenario)
-        safe = self._guarded(scenario, belief, wanted)
-        reason = f"{problem}; the last plan goes on"
+        late = scenario.now - last.time > settings.blind
+        safe = self._guarded(scenario, belief, standing(scenario) if late else ahead)
+        reason = f"{problem}; {'the robot stops' if late else 'the last plan goes on'}"
         decision = Decision(
             time=scenario.now,
-            action=_action(scenario, settings, safe, reason),
+            action=action_of(scenario, safe, reason),
             outcome=Outcome.BAD_OBSERVATION,
             reason=reason,
             trajectory=safe.trajectory,
             label=memory.followed,
             repairs=(problem,),
         )
-        return decision, memory
+        driven = safe.trajectory if late or safe.tier > Tier.TOUCHING_NOBODY else ahead
+        return decision, replace(memory, trajectory=driven, started=scenario.now)
 
     def _rest(
         self,
@@ -317,17 +289,17 @@ class Planner:
     ) -> tuple[Decision, Memory]:
         """Come to rest, or stay at it, and keep out of the way of nobody's feet."""
         scenario = memory.scenario
-        safe = self._guarded(scenario, belief, _standing(scenario))
+        safe = self._guarded(scenario, belief, standing(scenario))
         decision = Decision(
             time=scenario.now,
-            action=_action(scenario, self.settings, safe, reason),
+            action=action_of(scenario, safe, reason),
             outcome=outcome,
             reason=reason,
             trajectory=safe.trajectory,
             label=memory.followed,
             repairs=repairs,
         )
-        return decision, replace(memory, trajectory=safe.trajectory)
+        return decision, replace(memory, trajectory=safe.trajectory, started=scenario.now)
 
     def _guarded(self, scenario: Scenario, belief: Belief, wanted: Trajectory) -> Guarded:
         """A trajectory among people as they are predicted."""
@@ -400,45 +372,3 @@ def _progress(memory: Memory, scenario: Scenario) -> tuple[float, float]:
     length = min(way.length for way in memory.routes.ways)
     best, when = memory.nearest
     return (length, scenario.now) if length < best - 0.1 else (best, max(when, -np.inf))
-
-
-def _standing(scenario: Scenario) -> Trajectory:
-    robot = scenario.robot
-    now = robot.model.state(robot, heading(scenario))
-    return robot.model.braking(robot, now, scenario.density.times, 1.0)
-
-
-def _shifted(trajectory: Trajectory, since: float, times: Array) -> Trajectory:
-    """What is left of a trajectory, on the clock of now."""
-    ahead = trajectory.resampled(trajectory.times[0] + times + since)
-    return replace(ahead, times=times)
-
-
-def _action(scenario: Scenario, settings: Settings, safe: Guarded, reason: str) -> Action:
-    trajectory, step = safe.trajectory, safe.step
-    velocity = trajectory.velocities[step]
-    kind = "follow" if safe.tier <= Tier.TOUCHING_NOBODY else "avoid"
-    if float(np.linalg.norm(velocity)) < 1e-3:
-        kind = "stop"
-    return Action(
-        kind,
-        float(trajectory.times[step]),
-        trajectory.positions[step],
-        velocity,
-        scenario.robot.model.twist(trajectory, step, heading(scenario)),
-        safe.tier is not Tier.LATEST_CONTACT,
-        reason,
-    )
-
-
-def _halt(memory: Memory, settings: Settings, outcome: Outcome, reason: str) -> Decision:
-    """The fastest stop, whatever is around: the last resort."""
-    scenario = memory.scenario
-    stop = _standing(scenario)
-    times = np.array([0.0, settings.period])
-    soon = stop.resampled(times)
-    twist = scenario.robot.model.twist(soon, 1, heading(scenario))
-    action = Action(
-        "stop", settings.period, soon.positions[1], soon.velocities[1], twist, False, reason
-    )
-    return Decision(scenario.now, action, outcome, reason, stop, label=memory.followed)

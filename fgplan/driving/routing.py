@@ -90,10 +90,13 @@ class Routes:
         joined = [way for way in tried if way is not None]
         changed = self.grid is not scenario.grid or not _equal(self.goal, scenario.goal)
         late = scenario.now - self.searched >= settings.period or scenario.now < self.searched
+        late |= scenario.grid is None  # a straight line is no search
         if not (changed or late or len(joined) < len(self.ways) or not joined):
             return replace(self, ways=tuple(joined))
         if not _equal(self.goal, scenario.goal):
             joined = []
+        if self.grid is not scenario.grid:
+            joined = [way for way in joined if _leads_on(way, scenario)]
         trouble = None
         try:
             found = _search(scenario)
@@ -189,6 +192,11 @@ def simplified(path: Array) -> Array:
     back = np.einsum("ij,ij->i", step[:-1], step[1:]) < 0
     keep = np.concatenate([[True], (np.abs(turn) > 1e-9) | back, [True]])
     return np.asarray(path[keep])
+
+
+def _leads_on(way: Way, scenario: Scenario) -> bool:
+    grid = scenario.grid
+    return grid is None or is_free(grid, way.path, scenario.robot.radius)
 
 
 def _from(here: Array, vertices: Array) -> Array:

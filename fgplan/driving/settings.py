@@ -26,6 +26,8 @@ class Settings:
         wait: What a "wait" hypothesis waits for, where no blockage says how long [s]; 0 proposes
             none.
         goal_tolerance: A goal is reached this near to it [m] (Nav2's xy_goal_tolerance).
+        blind: Without a usable observation the last plan goes on for this long, then the robot
+            stops [s].
         stall: A robot that has not come nearer to its goal for this long makes no progress [s].
         lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
         routing, tracking, pricing, guard, intake: See there.
@@ -37,6 +39,7 @@ class Settings:
     commitment: float = 1.0
     wait: float = 2.0
     goal_tolerance: float = 0.25
+    blind: float = 1.0
     stall: float = 20.0
     lag: float = 0.5
     routing: Routing = field(default_factory=Routing)

@@ -1,0 +1,46 @@
+"""What one step of driving leaves for the next one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fgplan.driving.observation import Observation
+from fgplan.driving.pricing import Blockage
+from fgplan.driving.routing import Routes
+from fgplan.driving.tracking import People
+from fgplan.mixture import Mixture
+from fgplan.scenario import Scenario
+from fgplan.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What one step leaves for the next one.
+
+    Args:
+        scenario: What was known.
+        observation: The last one that was believed; None before the first.
+        people: Everybody who is followed.
+        routes: The global plans.
+        blockages: Where people stood in the way.
+        mixture: The last plan, for a warm start.
+        trajectory: What is being driven, None before the first observation.
+        started: When that began [s].
+        followed: Name of the hypothesis that is followed.
+        jumped: Whether the last observation was refused because the robot jumped.
+        nearest: Shortest way to the goal so far [m], and when it was reached [s].
+    """
+
+    scenario: Scenario
+    observation: Observation | None = None
+    people: People = field(default_factory=People)
+    routes: Routes = field(default_factory=Routes)
+    blockages: tuple[Blockage, ...] = ()
+    mixture: Mixture | None = None
+    trajectory: Trajectory | None = None
+    started: float = 0.0
+    followed: str | None = None
+    jumped: bool = False
+    nearest: tuple[float, float] = (np.inf, -np.inf)

@@ -1,0 +1,281 @@
+"""The object a robot program holds: it always answers, and what it answers can be driven."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fgplan import (
+    Density,
+    DifferentialDrive,
+    FieldOfView,
+    Mixture,
+    OccupancyGrid,
+    Robot,
+    Scenario,
+    ScenarioError,
+)
+from fgplan.driving import Detection, Observation, Outcome, Planner, Settings
+from fgplan.driving import planner as module
+
+PERIOD = 0.2
+SETTINGS = Settings(period=PERIOD, deadline=None)
+DENSITY = Density(dt=0.4, horizon=4.0)
+BLOCK = [(3.0, -1.0), (4.0, -1.0), (4.0, 1.0), (3.0, 1.0)]
+GRID = OccupancyGrid.from_polygons([BLOCK], (-1, -3, 9, 3), 0.1, border=True)
+
+
+def scenario(**changes):
+    fields = {"goal": np.array([6.0, 0.0]), "crowd": "predicted", "density": DENSITY, **changes}
+    return Scenario(Robot(np.zeros(2)), **fields)
+
+
+class World:
+    """A robot that does what it is told, and people who walk straight on."""
+
+    def __init__(self, planner, *people, position=(0.0, 0.0)):
+        self.planner, self.people = planner, np.array(people, dtype=float).reshape(-1, 4)
+        self.position, self.velocity = np.array(position, dtype=float), np.zeros(2)
+        self.heading, self.yaw_rate, self.time = None, 0.0, 0.0
+        self.decisions = []
+
+    def observation(self, **changes):
+        detections = tuple(Detection(p[:2].copy(), f"p{i}") for i, p in enumerate(self.people))
+        fields = {
+            "detections": detections,
+            "heading": self.heading,
+            "yaw_rate": self.yaw_rate,
+            **changes,
+        }
+        return Observation(self.time, self.position.copy(), self.velocity.copy(), **fields)
+
+    def step(self, **changes):
+        decision = self.planner.step(self.observation(**changes))
+        self.follow(decision)
+        return decision
+
+    def follow(self, decision):
+        self.decisions.append(decision)
+        new = decision.action.velocity
+        if self.heading is None:
+            self.position = self.position + PERIOD / 2 * (self.velocity + new)
+        else:
+            self.position = decision.action.position
+            self.heading += PERIOD / 2 * (self.yaw_rate + decision.action.twist.angular_z)
+            self.yaw_rate = decision.action.twist.angular_z
+        self.velocity = new
+        self.people[:, :2] += PERIOD * self.people[:, 2:]
+        self.time += PERIOD
+
+    def run(self, steps):
+        for _ in range(steps):
+            if self.step().outcome is Outcome.GOAL_REACHED:
+                break
+        return self
+
+    def gap(self):
+        if not len(self.people):
+            return np.inf
+        return np.linalg.norm(self.people[:, :2] - self.position, axis=1).min() - 0.55
+
+
+def is_sound(decision, limit=1.2):
+    action = decision.action
+    numbers = [*action.position, *action.velocity, action.twist.linear_x, action.twist.angular_z]
+    return np.all(np.isfinite(numbers)) and np.linalg.norm(action.velocity) <= limit + 1e-6
+
+
+def test_alone_it_reaches_the_goal_and_stays():
+    world = World(Planner(scenario(), SETTINGS)).run(60)
+    last = world.decisions[-1]
+    assert last.outcome is Outcome.GOAL_REACHED
+    assert np.linalg.norm(world.position - [6.0, 0.0]) < 0.3
+    for _ in range(5):
+        assert world.step().outcome is Outcome.GOAL_REACHED
+    assert np.linalg.norm(world.velocity) < 0.05
+
+
+def test_round_a_block_and_a_person_nobody_is_touched():
+    planner = Planner(scenario(grid=GRID), SETTINGS)
+    world = World(planner, [5.5, 1.6, -0.9, 0.0])
+    for _ in range(80):
+        decision = world.step()
+        assert world.gap() > 0
+        assert GRID.clearance(world.position, 0.25) > -1e-6
+        if decision.outcome is Outcome.GOAL_REACHED:
+            break
+    assert decision.outcome is Outcome.GOAL_REACHED
+    assert {d.label for d in world.decisions if d.label} <= {"A", "B"}
+
+
+def test_a_robot_with_wheels_is_driven_by_its_twist():
+    robot = Robot(np.zeros(2), heading=2.0, model=DifferentialDrive())
+    plan = Planner(Scenario(robot, goal=np.array([3.0, 1.0]), density=DENSITY), SETTINGS)
+    world = World(plan)
+    world.heading = 2.0
+    world.run(60)
+    assert world.decisions[-1].outcome is Outcome.GOAL_REACHED
+    assert all(d.action.twist.linear_y == 0 for d in world.decisions)
+
+
+def test_who_is_out_of_range_changes_no_bit_and_who_is_within_does():
+    """Statement 16, in closed loop."""
+
+    def driven(*people):
+        view = FieldOfView(range=3.0)
+        world = World(Planner(scenario(field_of_view=view), SETTINGS), *people)
+        for _ in range(6):
+            world.step()
+        return np.array([d.action.velocity for d in world.decisions])
+
+    alone = driven()
+    np.testing.assert_array_equal(driven([0.0, 3.01, 0.0, 0.1], [-3.5, 0.0, -1.0, 0.0]), alone)
+    assert not np.array_equal(driven([2.5, 0.3, 0.0, 0.0]), alone)
+
+
+def test_the_same_observations_give_the_same_bits():
+    def driven():
+        world = World(Planner(scenario(grid=GRID), SETTINGS), [4.5, 1.5, -0.7, 0.0]).run(10)
+        return np.array([d.action.velocity for d in world.decisions])
+
+    np.testing.assert_array_equal(driven(), driven())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"position": np.array([np.nan, 0.0])}, "not finite"),
+        ({"velocity": np.array([0.0, np.inf])}, "not finite"),
+        ({"time": 0.0}, "older than the last"),
+        ({"time": 0.8}, "repeated"),
+        ({"time": np.nan}, "not finite"),
+        ({"position": np.array([3.0, 3.0])}, "jumped"),
+    ],
+)
+def test_an_impossible_observation_is_refused_by_name_and_the_plan_goes_on(changes, words):
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+    bad = replace(world.observation(), **changes)
+    decision = world.planner.step(bad)
+    assert decision.outcome is Outcome.BAD_OBSERVATION
+    assert words in decision.reason
+    assert is_sound(decision)
+    assert decision.action.velocity[0] > 0.5  # it goes on
+    world.follow(decision)
+    assert world.step().outcome is Outcome.FOLLOWING
+
+
+def test_without_observations_the_robot_ends_at_rest():
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+    for _ in range(40):
+        world.time += PERIOD
+        bad = replace(world.observation(), position=np.array([np.nan, 0.0]))
+        decision = world.planner.step(bad)
+        assert is_sound(decision)
+    assert np.linalg.norm(decision.action.velocity) < 0.05
+
+
+def test_the_first_observation_may_be_bad():
+    planner = Planner(scenario(), SETTINGS)
+    decision = planner.step(Observation(0.0, np.array([np.nan, 0.0])))
+    assert decision.outcome is Outcome.BAD_OBSERVATION
+    assert np.all(decision.action.velocity == 0)
+
+
+def test_a_robot_that_stays_where_it_jumped_is_believed():
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+    world.position[1] += 2.5
+    assert world.step().outcome is Outcome.BAD_OBSERVATION
+    world.position = world.decisions[-2].action.position + np.array([0.0, 2.5])
+    decision = world.step()
+    assert decision.outcome is not Outcome.BAD_OBSERVATION
+    assert abs(decision.trajectory.positions[0, 1] - 2.5) < 0.3
+
+
+def test_impossible_detections_are_left_out_and_named():
+    world = World(Planner(scenario(), SETTINGS)).run(2)
+    bad = (Detection(np.array([np.nan, 1.0])), Detection(np.array([1.0, np.inf]), "x"))
+    decision = world.step(detections=bad)
+    assert decision.repairs == ("2 impossible detection(s) left out",)
+    assert decision.outcome is Outcome.FOLLOWING
+
+
+def test_an_unreachable_goal_is_a_stop_with_nav2s_name():
+    planner = Planner(scenario(grid=GRID, goal=np.array([3.5, 0.0])), SETTINGS)
+    world = World(planner).run(3)
+    assert world.decisions[-1].outcome is Outcome.GOAL_OCCUPIED
+    assert np.linalg.norm(world.velocity) < 1e-9
+    world.step(goal=np.array([6.0, 2.0]))
+    assert world.decisions[-1].outcome is not Outcome.GOAL_OCCUPIED
+
+
+def test_a_goal_that_moves_is_driven_to_without_a_stop():
+    """S11: the plan after the change is that of a planner that never knew another goal."""
+    world = World(Planner(scenario(), SETTINGS)).run(12)
+    speed = np.linalg.norm(world.velocity)
+    world.step(goal=np.array([6.0, 2.0]))
+    for _ in range(3):
+        world.step()
+        assert np.linalg.norm(world.velocity) > 0.6 * speed
+    fresh = Planner(scenario(goal=np.array([6.0, 2.0])), SETTINGS)
+    observation = world.observation()
+    a, b = world.planner.step(observation), fresh.step(observation)
+    np.testing.assert_allclose(a.action.velocity, b.action.velocity, atol=0.02)
+
+
+def test_whatever_breaks_inside_is_a_stop_that_says_so(monkeypatch):
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+
+    def broken(*args, **kwargs):
+        raise RuntimeError("indeterminate linear system")
+
+    monkeypatch.setattr(module, "plan", broken)
+    decision = world.step()
+    assert decision.outcome is Outcome.NO_VALID_CONTROL
+    assert "indeterminate linear system" in decision.reason
+    assert is_sound(decision)
+    assert np.linalg.norm(decision.action.velocity) < np.linalg.norm(
+        world.decisions[-2].action.velocity
+    )
+
+
+def test_a_scenario_that_makes_no_sense_is_refused_before_any_step():
+    with pytest.raises(ScenarioError, match="goal"):
+        Planner(scenario(goal=np.array([np.nan, 0.0])), SETTINGS)
+
+
+def test_without_goal_it_goes_on_as_it_did():
+    robot = Robot(np.zeros(2), np.array([0.5, 0.0]))
+    planner = Planner(Scenario(robot, density=DENSITY), SETTINGS)
+    decision = planner.step(Observation(0.0, np.zeros(2), np.array([0.5, 0.0])))
+    np.testing.assert_allclose(decision.action.velocity, [0.5, 0.0], atol=1e-3)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000))
+def test_faults_of_every_kind_never_make_an_unsound_action(seed):
+    """Dropped, repeated, late, NaN, jumping, teleporting: each at random."""
+    rng = np.random.default_rng(seed)
+    people = np.hstack([rng.uniform([1, -2], [5, 2], (3, 2)), rng.normal(0, 0.5, (3, 2))])
+    world = World(Planner(scenario(grid=GRID), SETTINGS), *people)
+    for _ in range(15):
+        observation = world.observation()
+        fault = rng.integers(8)
+        if fault == 0:
+            observation = replace(observation, detections=None)
+        elif fault == 1:
+            observation = replace(observation, time=observation.time - 1.0)
+        elif fault == 2:
+            observation = replace(observation, position=np.full(2, np.nan))
+        elif fault == 3:
+            far = Detection(rng.uniform(-5, 5, 2), "p0")
+            observation = replace(observation, detections=(far, far))
+        elif fault == 4:
+            observation = replace(observation, detections=(Detection(np.full(2, np.inf)),))
+        decision = world.planner.step(observation)
+        assert is_sound(decision)
+        assert isinstance(decision.mixture, Mixture | None)
+        world.follow(decision)
