@@ -57,8 +57,8 @@ class Settings:
     Args:
         window: Limits of the robot, and the roll-out.
         inflation: Of both costmaps; its `inscribed` is the robot's radius.
-        padding: Added to that radius, as footprint_padding [m]: half the diagonal of a cell of 0.1 m, or the edge
-            of the robot would touch what cells do not show.
+        padding: Added to that radius, as footprint_padding [m]: half the diagonal of a cell of
+            0.1 m, or the edge of the robot would touch what cells do not show.
         weights: Of the dynamic window.
         people_in: "local": people are in the local costmap alone; "global": in both.
         person_radius: [m].
