@@ -324,6 +324,8 @@ def _now(scenario: Scenario, observation: Observation) -> Scenario:
     changes = {"robot": robot, "now": float(observation.time)}
     if observation.grid is not None:
         changes["grid"] = observation.grid
+    if observation.operator:
+        changes["data"] = (*scenario.data, *observation.operator)
     if observation.goal is not None:
         changes["goal"] = np.asarray(observation.goal, dtype=float)
     return scenario.replace(**changes)
