@@ -44,6 +44,31 @@ class NoRoute(FgplanError):
         super().__init__(f"{code}: {message}")
 
 
+class NoMissionRoute(NoRoute):
+    """No route on this map does what the mission still requires; `regions` are those in the way
+    of it: which cannot be reached, or are not on the map."""
+
+    def __init__(self, message: str, regions: tuple[str, ...] = ()) -> None:
+        self.regions = regions
+        super().__init__("NO_VALID_PATH", message)
+
+
+class MissionError(FgplanError, ValueError):
+    """A mission that cannot be read, or that nothing can satisfy; `place` is where in its text:
+    the first character and the one after the last."""
+
+    def __init__(self, text: str, place: tuple[int, int], message: str) -> None:
+        self.text = text
+        self.place = place
+        start, end = place
+        line_start = text.rfind("\n", 0, start) + 1
+        line = text[line_start:].partition("\n")[0]
+        under = " " * (start - line_start) + "^" * max(1, min(end - start, len(line)))
+        row = f"line {text.count(chr(10), 0, start) + 1}, " if "\n" in text else ""
+        where = f"{row}column {start - line_start + 1}"
+        super().__init__(f"mission, {where}: {message}\n  {line}\n  {under}")
+
+
 class NoPlan(FgplanError):
     """No hypothesis has a finite posterior; `evidence` holds what each one ended with."""
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief
 from fgplan.hypothesis import Hypothesis
+from fgplan.mission import Itinerary, Mission, itineraries
+from fgplan.regions import word_along
 from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
@@ -20,11 +23,36 @@ Array = NDArray[np.float64]
 
 
 class _Path(NamedTuple):
-    """A global plan before it has a weight: label, vertices (N, 2) [m], stated weight."""
+    """A global plan before it has a weight.
+
+    Args:
+        label: Its name.
+        vertices: Shape (N, 2) [m].
+        weight: As stated; None: from its cost.
+        stop: Index of the vertex at which it comes to rest: the first stop of a mission.
+    """
 
     label: str
     vertices: Array
     weight: float | None
+    stop: int | None = None
+
+
+def log_weights(costs: Any, beta: float, stated: Sequence[float | None] = ()) -> Array:
+    """log w_i of w = softmax(−beta J); a stated weight replaces exp(−beta (J_i − min J)).
+
+    Args:
+        costs: J_i, shape (K,) [s].
+        beta: Nats per second.
+        stated: A weight, or None, for each; empty: for none. 0 excludes.
+    """
+    costs = np.asarray(costs, dtype=float)
+    score = -beta * (costs - costs.min())
+    for i, weight in enumerate(stated):
+        if weight is not None:
+            with np.errstate(divide="ignore"):
+                score[i] = np.log(weight)
+    return np.asarray(score - np.logaddexp.reduce(score))
 
 
 def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
@@ -34,34 +62,36 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
     weight replaces exp(−beta (J_i − min J)), so 1 is as good as the shortest path. Without goal
     and plans there is one hypothesis with no plan: the robot's prior alone.
 
+    With a mission they are its K best itineraries: J_i is the time of all that is still to do, and
+    the timed plan comes to rest at the first stop, where the mission will be read again. A stated
+    plan that the mission does not accept has weight 0.
+
     Raises:
-        NoRoute: a goal is stated and nothing leads there.
+        NoRoute: a goal is stated and nothing leads there; `NoMissionRoute` where nothing on this
+            map does what the mission still requires.
+        MissionError: a name in the mission is no region or fact.
     """
     paths = _paths(scenario)
     if not paths:
         return (_no_goal(scenario, belief),)
     robot, d = scenario.robot, scenario.density
     costs = np.array([path_length(path.vertices) for path in paths]) / robot.preferred_speed
-    score = -d.beta * (costs - costs.min())
-    for i, path in enumerate(paths):
-        if path.weight is not None:
-            with np.errstate(divide="ignore"):  # a weight of 0 excludes a plan
-                score[i] = np.log(path.weight)
-    log_prior = score - np.logaddexp.reduce(score)
+    log_prior = log_weights(costs, d.beta, [path.weight for path in paths])
     found = []
     for path, weight, cost in zip(paths, log_prior.tolist(), costs.tolist(), strict=True):
         if weight == -np.inf:
             continue
+        ahead = path.vertices if path.stop is None else path.vertices[: path.stop + 1]
         follow = partial(
             timed,
-            path.vertices,
+            ahead,
             speed=robot.preferred_speed,
             acceleration=robot.max_acceleration,
             velocity=robot.velocity,
         )
         plan = follow(times=d.times)
         course = follow(times=_beyond(scenario, cost)) if scenario.data else None
-        tries = starts(scenario, belief, plan, path.vertices)
+        tries = starts(scenario, belief, plan, ahead)
         found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices, course))
     return tuple(found)
 
@@ -91,10 +121,45 @@ def _paths(scenario: Scenario) -> list[_Path]:
         vertices = np.asarray(given.path, dtype=float)
         if not np.allclose(vertices[0], here, atol=1e-9):
             vertices = np.vstack([here, vertices])
-        paths.append(_Path(given.label, vertices, given.weight))
-    if scenario.goal is not None and scenario.count > 0:
+        if scenario.mission is None or _accepted(scenario, scenario.mission, vertices):
+            paths.append(_Path(given.label, vertices, given.weight))
+    if scenario.mission is not None and (scenario.count > 0 or not paths):
+        paths += [_visiting(one) for one in itineraries_of(scenario)]
+    elif scenario.goal is not None and scenario.count > 0:
         routes = find_routes(
             scenario.grid, here, scenario.goal, scenario.robot.radius, scenario.count
         )
         paths += [_Path(route.label, route.path, None) for route in routes]
     return paths
+
+
+def _accepted(scenario: Scenario, mission: Mission, path: Array) -> bool:
+    """Whether a mission is done at the end of a path."""
+    for letter in word_along(scenario.regions, path):
+        mission = mission.advance(letter)
+    return mission.done
+
+
+def _visiting(itinerary: Itinerary) -> _Path:
+    stop = itinerary.ends[0] if itinerary.ends else None
+    return _Path(itinerary.label, itinerary.path, None, stop)
+
+
+def itineraries_of(scenario: Scenario) -> tuple[Itinerary, ...]:
+    """The K best itineraries of a scenario with a mission, from where the robot is.
+
+    Raises:
+        NoMissionRoute, MissionError: as `hypothesise`.
+        ValueError: the scenario has no mission.
+    """
+    if scenario.mission is None:
+        raise ValueError(f"scenario {scenario.name!r} has no mission")
+    return itineraries(
+        scenario.mission,
+        scenario.grid,
+        scenario.regions,
+        scenario.robot.position,
+        scenario.robot.radius,
+        max(scenario.count, 1),
+        scenario.goal,
+    )

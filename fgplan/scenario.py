@@ -15,7 +15,9 @@ from fgplan.robots import Holonomic, RobotModel
 
 if TYPE_CHECKING:
     from fgplan.measuring import Measurement
+    from fgplan.mission import Mission
     from fgplan.occupancy import OccupancyGrid
+    from fgplan.regions import Region
 
 Array = NDArray[np.float64]
 
@@ -203,6 +205,9 @@ class Scenario:
         name: For tables and pictures.
         data: What measures the levels or the robot: operator data, waypoints, tactical data
             (`fgplan.measuring`), on the clock of `now`. Empty is nobody who intervenes.
+        regions: Places with names, for missions and tactical data.
+        mission: What is asked over the regions, and how far it is done; with it `goal` is where
+            to go when it is done, and may be None.
     """
 
     robot: Robot
@@ -219,6 +224,8 @@ class Scenario:
     density: Density = Density()
     name: str = "scenario"
     data: tuple[Measurement, ...] = ()
+    regions: tuple[Region, ...] = ()
+    mission: Mission | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Scenario:

@@ -21,9 +21,11 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 from pydantic_core import PydanticCustomError
 
-from fgplan.errors import MapError, Mistake, ScenarioError
+from fgplan.errors import MapError, MissionError, Mistake, ScenarioError
 from fgplan.measuring import Reading, Readings
+from fgplan.mission import Fact, Mission
 from fgplan.occupancy import OccupancyGrid
+from fgplan.regions import Region
 from fgplan.robots import Holonomic, RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.validation import find_mistakes, placement
@@ -151,6 +153,24 @@ class _Datum(_Table):
     covariance: list[list[Number]] | None = None
 
 
+class _Region(_Table):
+    name: Text
+    polygon: list[Point] | None = None
+    centre: Point | None = None
+    radius: Number = 0.0
+
+
+class _Fact(_Table):
+    name: Text
+    holds: Flag = False
+    closes: Text | None = None
+
+
+class _Mission(_Table):
+    formula: Text
+    facts: list[_Fact] = []
+
+
 class _File(_Table):
     robot: _Robot
     name: Text | None = None
@@ -163,6 +183,8 @@ class _File(_Table):
     field_of_view: _FieldOfView | None = None
     levels: list[_Level] | None = None
     data: list[_Datum] = []
+    regions: list[_Region] = []
+    mission: _Mission | None = None
 
 
 MODELS = {"holonomic": Holonomic, "differential": DifferentialDrive, "car": CarLike}
@@ -171,7 +193,7 @@ MODELS = {"holonomic": Holonomic, "differential": DifferentialDrive, "car": CarL
 MOST_CELLS = 40_000_000
 """Of a map drawn in a scenario file: more would take minutes and gigabytes."""
 
-_ROWS = {"track": (1, 3), "path": (1, 2), "polygons": (2, 2)}
+_ROWS = {"track": (1, 3), "path": (1, 2), "polygon": (1, 2), "polygons": (2, 2)}
 """Lists of rows: how deep the rows are, and how long."""
 
 _UNREADABLE: dict[str, Any] = {
@@ -215,10 +237,16 @@ def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
     unclear = any(known.startswith("map") for known in reported)
     grid, wrong = _map(table.map, path.parent, unclear)
     model, misplaced = _model(table.robot, "robot.model" in reported)
-    scenario = _scenario(table, grid, model, path.stem)
+    regions, no_regions = _regions(table.regions)
+    mission, no_mission = _mission(table.mission)
+    # Where a region cannot be read, the mission would not know its name.
+    named = {"regions": regions} if no_regions else {"regions": regions, "mission": mission}
+    scenario = _scenario(table, grid, model, path.stem).replace(**named)
     meant = (
         *wrong,
         *misplaced,
+        *no_regions,
+        *no_mission,
         *_goal(table),
         *_choices(table),
         *(_respelled(mistake) for mistake in find_mistakes(scenario)),
@@ -325,7 +353,7 @@ def _repair(tables: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> No
     elif kind == "missing" and len(loc) == last + 1:
         # A name no other has.
         owner[key] = copy.deepcopy(_UNREADABLE.get(key, f"unnamed {_spell(loc)}"))
-    elif key in ("people", "given", "levels", "data") and len(loc) > last + 1:
+    elif key in ("people", "given", "levels", "data", "regions", "facts") and len(loc) > last + 1:
         owner[key][loc[last + 1]] = {}
     else:
         owner.pop(key, None)
@@ -376,7 +404,7 @@ def _stated(table: _Map, key: str) -> object:
 def _goal(table: _File) -> Sequence[Mistake]:
     """A file that asks for global plans and names no goal contradicts itself."""
     count = table.plans.count
-    if table.goal is None and count is not None and count > 0:
+    if table.goal is None and table.mission is None and count is not None and count > 0:
         mend = "asks for global plans without a goal; give [goal] position, or count = 0"
         return (Mistake("plans.count", count, mend),)
     return ()
@@ -442,7 +470,7 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
     optional: dict[str, Any] = {}
     if table.plans.count is not None:
         optional["count"] = table.plans.count
-    elif table.goal is None:
+    elif table.goal is None and table.mission is None:
         optional["count"] = 0
     if table.levels is not None:
         optional["levels"] = tuple(Level(**level.stated()) for level in table.levels)
@@ -463,6 +491,33 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
         data=tuple(_measurement(datum) for datum in table.data),
         **{"name": stem, **optional},
     )
+
+
+def _regions(tables: Sequence[_Region]) -> tuple[tuple[Region, ...], list[Mistake]]:
+    """The regions, and those that are none."""
+    regions, wrong = [], []
+    for i, table in enumerate(tables):
+        outline = table.polygon if table.centre is None else [table.centre]
+        if (table.polygon is None) == (table.centre is None) or outline is None:
+            mend = "give a polygon, or a centre with a radius"
+            wrong.append(Mistake(f"regions[{i}]", table.name, mend))
+            continue
+        try:
+            regions.append(Region(table.name, tuple(outline), table.radius))
+        except ValueError as error:
+            wrong.append(Mistake(f"regions[{i}]", table.name, str(error)))
+    return tuple(regions), wrong
+
+
+def _mission(table: _Mission | None) -> tuple[Mission | None, list[Mistake]]:
+    """The mission, or why it is none."""
+    if table is None:
+        return None, []
+    facts = tuple(Fact(f.name, f.holds, f.closes) for f in table.facts)
+    try:
+        return Mission(table.formula, facts), []
+    except MissionError as error:
+        return None, [Mistake("mission.formula", table.formula, str(error))]
 
 
 def _track(person: _Person) -> Track:

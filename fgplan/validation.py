@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.residual import whitener
-from fgplan.errors import Mistake, ScenarioError
+from fgplan.errors import MissionError, Mistake, ScenarioError
 from fgplan.measuring import ROBOT, Measurement, Reading
+from fgplan.mission.parser import KEYWORDS
 from fgplan.robots import RobotModel
 from fgplan.scenario import FieldOfView, GivenPlan, Level, Scenario, Track
 
@@ -133,6 +134,8 @@ def find_mistakes(scenario: Scenario) -> Iterable[Mistake]:
         yield from _numbers("field_of_view", scenario.field_of_view, _FIELD_OF_VIEW)
         yield from _occlusion(scenario.field_of_view)
     yield from _levels(scenario.levels)
+    yield from _regions(scenario)
+    yield from _mission(scenario)
     for i, measurement in enumerate(scenario.data):
         yield from _data(f"data[{i}]", measurement, [level.name for level in scenario.levels])
 
@@ -315,6 +318,32 @@ def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
         mend = "give a finite number: nothing else says where the first level is"
         yield Mistake("levels[0].sigma", levels[0].sigma, mend)
     yield from _distinct([level.name for level in levels], "levels[{}].name")
+
+
+def _regions(scenario: Scenario) -> Iterable[Mistake]:
+    yield from _distinct([region.name for region in scenario.regions], "regions[{}].name")
+    for i, region in enumerate(scenario.regions):
+        outline = [*region.polygon, (region.radius, region.radius)]
+        yield from _points(f"regions[{i}].polygon", outline, (None, 2))[1]
+        if region.name in KEYWORDS:
+            mend = "is a word of the language of missions; give another name"
+            yield Mistake(f"regions[{i}].name", region.name, mend)
+
+
+def _mission(scenario: Scenario) -> Iterable[Mistake]:
+    mission = scenario.mission
+    if mission is None:
+        return
+    names = [region.name for region in scenario.regions]
+    yield from _distinct([fact.name for fact in mission.facts], "mission.facts[{}].name")
+    for i, fact in enumerate(mission.facts):
+        if fact.closes is not None and fact.closes not in names:
+            mend = f"is no region; the regions are {', '.join(names) or 'none'}"
+            yield Mistake(f"mission.facts[{i}].closes", fact.closes, mend)
+    try:
+        mission.check_names(names)
+    except MissionError as error:
+        yield Mistake("mission.formula", mission.text, str(error))
 
 
 def _data(path: str, data: Measurement, levels: Sequence[str]) -> Iterable[Mistake]:
