@@ -1,0 +1,49 @@
+"""`python -m benchmarks.robots`: iterations of a start and slip of its optimum, by robot model."""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import argparse  # noqa: E402
+import json  # noqa: E402
+import sys  # noqa: E402
+from collections.abc import Iterable, Sequence  # noqa: E402
+
+from rich.console import Console  # noqa: E402
+from rich.progress import track  # noqa: E402
+
+from benchmarks.robots import rows_as_dicts, run  # noqa: E402
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run all models."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.robots", description=__doc__)
+    parser.add_argument("--scenes", type=int, default=128, help="scenes for each row")
+    parser.add_argument("--short", action="store_true", help="8 scenes")
+    parser.add_argument("--json", metavar="-", help="- writes JSON to standard output")
+    options = parser.parse_args(arguments)
+    error = Console(stderr=True)
+
+    def bar(items: Iterable[int]) -> Iterable[int]:
+        return track(list(items), console=error, transient=True, disable=not error.is_terminal)
+
+    rows = run(8 if options.short else options.scenes, bar)
+    if options.json == "-":
+        sys.stdout.write(json.dumps(rows_as_dicts(rows), allow_nan=False) + "\n")
+        return
+    head = ("conv.", "within", "iter 50", "iter 90", "ms 50", "ms 90", "nats 50", "slip mm", "driven")
+    print(f"{'model':20}{'start':10}" + "".join(f"{h:>9}" for h in head))
+    for r in rows:
+        numbers = [
+            f"{r.converged:.3f}", f"{r.within:.3f}", f"{r.iterations_p50:.0f}",
+            f"{r.iterations_p90:.0f}", f"{r.ms_p50:.1f}", f"{r.ms_p90:.1f}",
+            f"{r.energy_p50:.2f}", f"{r.slip_optimum_mm:.3f}", f"{r.slip_driven_mm:.1e}",
+        ]  # fmt: skip
+        print(f"{r.model:20}{r.start:10}" + "".join(f"{x:>9}" for x in numbers))
+
+
+if __name__ == "__main__":
+    main()
