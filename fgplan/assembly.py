@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.residual import Expansion, Linear, Residual
+from factors.unicycle import UnicycleMotion
 from fgplan import keys
 from fgplan.block_tridiagonal import System
 from fgplan.model import Model, Term
+from fgplan.shear import Shear
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -214,8 +216,15 @@ class Assembly:
     def along(self, q: Quadratic, X: Array, step: Array, which: Index) -> Callable[[Array], Array]:
         """Energies on the line X + s·step, as a function of lengths s (L, B) → (L, B).
 
-        The linear-Gaussian part is exactly quadratic on the line.
+        The linear-Gaussian part is exactly quadratic on the line. With wheels the line is the
+        curve on which `moved` goes.
         """
+        if self.motion is not None:
+
+            def along_the_curve(s: Array) -> Array:
+                return self.energy(self.moved(X, s[..., None, None] * step), which)
+
+            return along_the_curve
         slope = _dot(q.linear_gradient, step)
         curvature = _dot(self.times(step, which), step)
 
@@ -225,6 +234,25 @@ class Assembly:
                 return np.asarray(linear + self.potentials(X + s[..., None, None] * step))
 
         return energies
+
+    @cached_property
+    def motion(self) -> UnicycleMotion | None:
+        """How a robot with wheels moves; None for one that moves linearly in its states."""
+        residuals = (term.residual for term in self.models[0].shared)
+        return next((r for r in residuals if isinstance(r, UnicycleMotion)), None)
+
+    def shear(self, reference: Array) -> Shear | None:
+        """Coordinates in which a robot with wheels moves linearly, around states (..., S, D); None
+        where it does anyway."""
+        if self.motion is None:
+            return None
+        return Shear(self.motion, self.models[0].columns["robot"], reference)
+
+    def moved(self, X: Array, step: Array) -> Array:
+        """X + step; a robot with wheels is moved along its curves, so that a step which keeps its
+        motion to first order keeps it to any length."""
+        shear = self.shear(X)
+        return X + step if shear is None else shear.bend(X + step)
 
     def times(self, d: Array, which: Index) -> Array:
         """Constant Hessian times d, shape (..., S, D)."""

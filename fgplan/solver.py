@@ -126,7 +126,7 @@ class SecondOrder:
             iterations[active] += 1
             decrement[active] = way.promised
             moved = length > 0
-            X[active[moved]] += length[moved, None, None] * way.step[moved]
+            X[active] = assembly.moved(X[active], length[:, None, None] * way.step)
             energy[active] = reached
             still: list[int] = []
             for b, went, gain, curved in zip(

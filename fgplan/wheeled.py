@@ -30,8 +30,8 @@ SLIP = 1e-3
 """How far a wheeled robot may end beside where a step leads [m]."""
 CREEP = 1e-3
 """Tolerance of the limits of a wheeled robot [m/s, rad/s, m/s², rad/s²]."""
-DEFECT = 5e-3
-"""Standard deviation of the position's defect a step [m]. Forces of the density of up to 40 nats/m
+DEFECT = 3e-3
+"""Standard deviation of the position's defect a step [m]. Forces of the density of up to 110 nats/m
 leave a defect below `SLIP` at an optimum; what is reported and driven has none."""
 HEADING_DEFECT = 1e-4
 """Standard deviation of the heading's defect a step [rad]."""

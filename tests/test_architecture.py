@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 # import each other. A new module must be given its place here.
 RANKS = [
     {"errors"},
-    {"trajectory", "keys", "block_tridiagonal"},
+    {"trajectory", "keys", "block_tridiagonal", "shear"},
     {"hypothesis", "timing", "map_file", "regions", "robots"},
     {"wheeled"},
     {"occupancy"},

@@ -34,7 +34,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.json == "-":
         sys.stdout.write(json.dumps(rows_as_dicts(rows), allow_nan=False) + "\n")
         return
-    head = ("conv.", "within", "iter 50", "iter 90", "ms 50", "ms 90", "nats 50", "slip mm", "driven")
+    head = (
+        "conv.",
+        "within",
+        "iter 50",
+        "iter 90",
+        "ms 50",
+        "ms 90",
+        "nats 50",
+        "slip mm",
+        "driven",
+    )
     print(f"{'model':20}{'start':10}" + "".join(f"{h:>9}" for h in head))
     for r in rows:
         numbers = [

@@ -16,7 +16,7 @@ from scipy.special import gammaln
 
 from fgplan.assembly import Assembly, Quadratic, hold
 from fgplan.block_tridiagonal import Factor, System, factorize
-from fgplan.inference.shear import Shear, shear
+from fgplan.shear import Shear
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -193,7 +193,7 @@ def _from_slope(
 ) -> Gaussian:
     """From the gradient at the reference and the Hessian of a quadratic energy."""
     model = assembly.models[which]
-    bent = shear(assembly, assembly.reference[which])
+    bent = assembly.shear(assembly.reference[which])
     if bent is not None:
         _add_motion(assembly, which, bent, diagonal, upper, slope)
     start = assembly.reference[which].copy()
@@ -229,7 +229,7 @@ def at_mode(assembly: Assembly, state: Array, which: int) -> Gaussian | None:
     if factor is None:
         return None
     # The gradient is zero there, so that the Hessian is the same in sheared coordinates.
-    return Gaussian(state, system, factor, assembly.free, shear(assembly, state))
+    return Gaussian(state, system, factor, assembly.free, assembly.shear(state))
 
 
 def average_curvature(assembly: Assembly, X: Array, which: int) -> Gaussian:
@@ -246,7 +246,7 @@ def average_curvature(assembly: Assembly, X: Array, which: int) -> Gaussian:
     Raises:
         ValueError: the mean is not positive definite or not finite.
     """
-    bent = shear(assembly, X[0])
+    bent = assembly.shear(X[0])
     X = X if bent is None else X[:1]
     quadratic: Quadratic = assembly.gauss_newton(X, np.full(len(X), which))
     total: System | None = None

@@ -75,7 +75,7 @@ def assert_within(who: Robot, states: Array, dt: float, allowance: float = 1e-3)
 
 
 @given(st.floats(-0.3, 1.2), st.floats(-1.0, 1.0), st.integers(0, 10_000))
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 def test_samples_of_a_differential_drive_respect_its_limits(v: float, w: float, seed: int) -> None:
     who = robot(DifferentialDrive(), v, 0.4, yaw_rate=w)
     x = who.model.sample(who, DENSITY, now(who), 200, np.random.default_rng(seed))
@@ -85,7 +85,7 @@ def test_samples_of_a_differential_drive_respect_its_limits(v: float, w: float, 
 
 
 @given(st.floats(-0.4, 1.2), st.floats(-1.0, 1.0), st.integers(0, 10_000))
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 def test_samples_of_a_car_respect_its_limits(v: float, share: float, seed: int) -> None:
     who = robot(CAR, v, -1.0, yaw_rate=share * abs(v) / CAR.min_turning_radius)
     x = who.model.sample(who, DENSITY, now(who), 200, np.random.default_rng(seed))
@@ -95,7 +95,7 @@ def test_samples_of_a_car_respect_its_limits(v: float, share: float, seed: int) 
 
 
 @given(st.floats(0, 1.2), st.floats(-3, 3), st.integers(0, 10_000))
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 def test_samples_of_a_holonomic_robot_respect_its_limits(v: float, th: float, seed: int) -> None:
     who = robot(Holonomic(), v, th)
     x = who.model.sample(who, DENSITY, now(who), 200, np.random.default_rng(seed))

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from factors.unicycle import slip
 from fgplan import (
     CarLike,
     Density,
@@ -25,7 +26,7 @@ from fgplan import (
 from fgplan.assembly import Assembly
 from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Laplace
 from fgplan.inference.gaussian import prior
-from fgplan.inference.shear import Shear, shear
+from fgplan.shear import Shear
 from fgplan.solver import Solution
 from tests.factor_testing import differences
 from tests.scenes import assembled, forked, initial, jittered, random_scene, short, track
@@ -56,14 +57,14 @@ def turning(density: Density, **changes: Any) -> tuple[Assembly, list[Solution]]
 
 def bent() -> tuple[Assembly, Shear]:
     assembly, _ = turning(short())
-    found = shear(assembly, jittered(assembly, 3))
+    found = assembly.shear(jittered(assembly, 3))
     assert found is not None
     return assembly, found
 
 
 def test_holonomic_robots_need_no_shear() -> None:
     assembly, _ = assembled(forked(density=short()))
-    assert shear(assembly, assembly.reference[0]) is None
+    assert assembly.shear(assembly.reference[0]) is None
 
 
 def test_a_shear_has_an_inverse_and_is_none_at_its_reference() -> None:
@@ -72,6 +73,24 @@ def test_a_shear_has_an_inverse_and_is_none_at_its_reference() -> None:
     assert_allclose(there.straighten(there.bend(X)), X, atol=1e-12)
     assert np.abs(there.bend(X) - X).max() > 0.05
     assert_allclose(there.bend(there.reference), there.reference, atol=1e-14)
+
+
+def test_steps_of_the_solver_keep_the_motion() -> None:
+    """A step that is tangent to the motion, at any length; straight on it would leave the curve."""
+    assembly, _ = turning(short())
+    X, columns = assembly.reference[:1], assembly.models[0].columns["robot"]
+    step = np.zeros_like(X)
+    step[:, 1:, 2:] = 0.3 * np.random.default_rng(0).standard_normal(step[:, 1:, 2:].shape)
+    there = assembly.shear(X)
+    assert there is not None
+    step = 1e6 * (there.bend(X + 1e-6 * step) - X)  # positions do not know of it yet
+    tangent = step.copy()
+    local = np.concatenate([step[:, :-1, 2:], step[:, 1:, 3:]], axis=-1)
+    slope = there.motion.moved_slope(X[:, :-1], X[:, 1:])
+    tangent[:, 1:, :2] = np.cumsum(np.einsum("...ij,...j->...i", slope, local), axis=1)
+    states = assembly.moved(X, tangent)[0, :, columns]
+    assert slip(states, 0.4).max() < 1e-12
+    assert slip((X + tangent)[0, :, columns], 0.4).max() > 0.01
 
 
 def test_a_shear_keeps_volumes() -> None:
@@ -149,7 +168,7 @@ def test_inference_agrees_about_a_robot_that_turns() -> None:
 
 
 @given(st.sampled_from(MODELS), st.floats(0, 1.2), st.floats(-3, 3), st.integers(0, 999))
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 def test_samples_of_the_kinematic_prior_keep_every_limit(
     model: Any, speed: float, heading: float, seed: int
 ) -> None:

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.unicycle import UnicycleMotion
-from fgplan.assembly import Assembly
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ class Shear:
     Args:
         motion: How the robot moves between two states.
         robot: Columns of the robot's states.
-        reference: A state of all variables, shape (S, D); there x = y.
+        reference: A state of all variables, shape (S, D), or one of each of a batch; there x = y.
     """
 
     motion: UnicycleMotion
@@ -81,14 +80,6 @@ class Shear:
     @cached_property
     def _slope(self) -> Array:
         return self.motion.moved_slope(*self._pair(self.reference))
-
-
-def shear(assembly: Assembly, reference: Array) -> Shear | None:
-    """Around a reference (S, D); None where the robot moves linearly in its states anyway."""
-    for term in assembly.models[0].shared:
-        if isinstance(term.residual, UnicycleMotion):
-            return Shear(term.residual, assembly.models[0].columns["robot"], reference)
-    return None
 
 
 def _local(before: Array, after: Array) -> Array:
