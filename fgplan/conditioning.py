@@ -36,6 +36,7 @@ from factors.markov import (
     beyond,
     remembered,
 )
+from factors.measurement import position_measurement
 from factors.residual import Linear, log_gaussian_normalizer, whitener
 from fgplan.hypothesis import Hypothesis
 from fgplan.measuring import ROBOT, Measurement, Reading
@@ -100,6 +101,25 @@ def log_likelihood(
         error = W @ (reading.value - _matrix(reading) @ course.at(time))
         total -= 0.5 * float(error @ error)
     return total
+
+
+def weigh(weights: Any, plans: Any, z: Any, covariance: Any) -> Array:
+    """p(i | z) ∝ w_i N(z; η_i, R): the weights of plans that are known exactly, shape (n,).
+
+    Args:
+        weights: w_i > 0, shape (n,).
+        plans: What each plan has where the data is, shape (n, m), or (n,) for one number each.
+        z: The data, shape (m,), or a number.
+        covariance: R, shape (m, m), or a number.
+
+    Raises:
+        ValueError: the covariance is not symmetric positive definite, or the shapes do not fit.
+    """
+    R = np.atleast_2d(np.asarray(covariance, dtype=float))
+    at = np.asarray(plans, dtype=float).reshape(len(weights), len(R))
+    datum = position_measurement(np.atleast_1d(np.asarray(z, dtype=float)), R, dim=len(R))
+    score = np.log(np.asarray(weights, dtype=float)) - datum.energy(at)
+    return np.asarray(np.exp(score - np.logaddexp.reduce(score)))
 
 
 def nearest(reading: Reading, course: Trajectory) -> float:

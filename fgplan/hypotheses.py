@@ -90,13 +90,13 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
             velocity=robot.velocity,
         )
         plan = follow(times=d.times)
-        course = follow(times=_beyond(scenario, cost)) if scenario.data else None
+        course = follow(times=times_of_data(scenario, cost)) if scenario.data else None
         tries = starts(scenario, belief, plan, ahead)
         found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices, course))
     return tuple(found)
 
 
-def _beyond(scenario: Scenario, cost: float) -> Array:
+def times_of_data(scenario: Scenario, cost: float) -> Array:
     """Times from now to the end of a plan that takes about `cost` [s]: data may lie beyond the
     horizon. Four times as fine as the steps, and among them all steps."""
     d = scenario.density

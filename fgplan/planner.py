@@ -26,6 +26,7 @@ from fgplan.model import build
 from fgplan.safety import People, brake
 from fgplan.scenario import Scenario
 from fgplan.search import search, shifted
+from fgplan.shared_control import operated
 from fgplan.solver import SecondOrder, Solver
 from fgplan.trajectory import Trajectory
 from fgplan.validation import validate
@@ -43,7 +44,7 @@ def plan(
     factors: Iterable[gtsam.NonlinearFactor] = (),
     solver: Solver = SecondOrder(),  # noqa: B008 - frozen
     select: selection.Rule = selection.height,
-    hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = hypothesise,
+    hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = operated(hypothesise),  # noqa: B008
     warm: Mixture | None = None,
     deadline: float | None = None,
     inference: Inference = Laplace(check=0),  # noqa: B008 - frozen
@@ -59,7 +60,8 @@ def plan(
         factors: Your own GTSAM factors on the variables of `fgplan.keys`.
         solver: `SecondOrder()`, or `GtsamLM()` for GTSAM's own optimiser.
         select: `selection.height` (default) or `selection.mass`; both are always reported.
-        hypotheses: Where the global plans come from.
+        hypotheses: Where the global plans come from; by default the routes to the goal, and what
+            the operator points at and none of them leads to.
         warm: The previous plan, of an earlier `scenario.now`: its components, shifted in time,
             are starts beside the cold ones.
         deadline: Seconds from the call after which the best plan so far is returned; it says

@@ -136,8 +136,9 @@ def find_mistakes(scenario: Scenario) -> Iterable[Mistake]:
     yield from _levels(scenario.levels)
     yield from _regions(scenario)
     yield from _mission(scenario)
+    names = [level.name for level in scenario.levels]
     for i, measurement in enumerate(scenario.data):
-        yield from _data(f"data[{i}]", measurement, [level.name for level in scenario.levels])
+        yield from find_data_mistakes(f"data[{i}]", measurement, names)
 
 
 def placement(scenario: Scenario) -> Iterable[Mistake]:
@@ -346,7 +347,14 @@ def _mission(scenario: Scenario) -> Iterable[Mistake]:
         yield Mistake("mission.formula", mission.text, str(error))
 
 
-def _data(path: str, data: Measurement, levels: Sequence[str]) -> Iterable[Mistake]:
+def find_data_mistakes(path: str, data: Measurement, levels: Sequence[str]) -> Iterable[Mistake]:
+    """Yields every mistake of a measurement, named from `path` on.
+
+    Args:
+        path: What the measurement is called.
+        data: The measurement.
+        levels: Names of the levels that there are.
+    """
     if not isinstance(data, Measurement) or isinstance(data, type):
         yield Mistake(path, data, "give a measurement, such as Readings((Reading(...),))")
         return
