@@ -124,7 +124,7 @@ def _paths(scenario: Scenario) -> list[_Path]:
         if scenario.mission is None or _accepted(scenario, scenario.mission, vertices):
             paths.append(_Path(given.label, vertices, given.weight))
     if scenario.mission is not None and (scenario.count > 0 or not paths):
-        paths += [_visiting(one) for one in itineraries_of(scenario)]
+        paths += [_visiting(one) for one in itineraries_of(scenario, max(scenario.count, 1))]
     elif scenario.goal is not None and scenario.count > 0:
         routes = find_routes(
             scenario.grid, here, scenario.goal, scenario.robot.radius, scenario.count
@@ -145,8 +145,8 @@ def _visiting(itinerary: Itinerary) -> _Path:
     return _Path(itinerary.label, itinerary.path, None, stop)
 
 
-def itineraries_of(scenario: Scenario) -> tuple[Itinerary, ...]:
-    """The K best itineraries of a scenario with a mission, from where the robot is.
+def itineraries_of(scenario: Scenario, count: int) -> tuple[Itinerary, ...]:
+    """At most `count` itineraries of a scenario with a mission, from where the robot is.
 
     Raises:
         NoMissionRoute, MissionError: as `hypothesise`.
@@ -160,6 +160,6 @@ def itineraries_of(scenario: Scenario) -> tuple[Itinerary, ...]:
         scenario.regions,
         scenario.robot.position,
         scenario.robot.radius,
-        max(scenario.count, 1),
+        count,
         scenario.goal,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from fgplan.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from fgplan.measuring import Measurement
+    from fgplan.mission import Mission
     from fgplan.occupancy import OccupancyGrid
 
 Array = NDArray[np.float64]
@@ -52,6 +54,8 @@ class Observation:
         grid: A map that replaces the one so far; None keeps it.
         goal: A goal that replaces the one so far, shape (2,) [m]; None keeps it.
         operator: New operator data, each item once (`fgplan.measuring`).
+        facts: What a mission's facts are from now on ("door_closed": True); those that are not
+            named stay as they are.
     """
 
     time: float
@@ -64,6 +68,7 @@ class Observation:
     grid: OccupancyGrid | None = None
     goal: Array | None = None
     operator: tuple[Measurement, ...] = ()
+    facts: Mapping[str, bool] = field(default_factory=dict)
 
 
 class Outcome(StrEnum):
@@ -102,6 +107,7 @@ class Decision:
         label: Of the hypothesis that is followed; None when none is.
         repairs: What was wrong with the observation, and what was done about it.
         seconds: Time spent.
+        mission: How far the mission is done; None where none was given.
     """
 
     time: float
@@ -113,3 +119,4 @@ class Decision:
     label: str | None = None
     repairs: tuple[str, ...] = ()
     seconds: float = 0.0
+    mission: Mission | None = None

@@ -15,6 +15,7 @@ from fgplan.driving.guard import Guarded, Others, Tier, guard
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.pricing import update as update_blockages
+from fgplan.driving.progress import progressed
 from fgplan.driving.proposals import price, propose, route
 from fgplan.driving.routing import Routes
 from fgplan.driving.settings import Settings
@@ -75,7 +76,8 @@ class Planner:
         except Exception as error:  # a robot must stop, whatever is wrong with its planner
             why = f"{type(error).__name__}: {error}"
             decision = halt(self.memory, self.settings, Outcome.NO_VALID_CONTROL, why)
-        return replace(decision, seconds=perf_counter() - began)
+        mission = self.memory.scenario.mission
+        return replace(decision, seconds=perf_counter() - began, mission=mission)
 
     def _decide(
         self, memory: Memory, observation: Observation, began: float
@@ -89,6 +91,11 @@ class Planner:
             return self._carry_on(memory, observation, problem)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
         scenario = _now(memory.scenario, observation)
+        known = memory.observation is not None and not memory.jumped
+        came_from = memory.scenario.robot.position if known else None
+        mission, unknown = progressed(scenario, came_from, observation.facts)
+        further = observation.goal is not None or mission != scenario.mission
+        scenario = scenario.replace(mission=mission)
         people, refused = self._look(memory, scenario, observation)
         belief = people.belief(scenario.density.Qc_people)
         memory = replace(
@@ -98,11 +105,12 @@ class Planner:
             people=people,
             mixture=None if memory.jumped else memory.mixture,
             jumped=False,
-            nearest=memory.nearest if observation.goal is None else (np.inf, -np.inf),
+            nearest=(np.inf, -np.inf) if further else memory.nearest,
         )
-        repairs += refused
+        repairs += (*unknown, *refused)
         if _reached(scenario, settings):
-            return self._rest(memory, belief, Outcome.GOAL_REACHED, "goal reached", repairs)
+            what = "goal reached" if mission is None else "mission done"
+            return self._rest(memory, belief, Outcome.GOAL_REACHED, what, repairs)
         before = memory.routes
         routes = before.update(scenario, settings.routing, memory.followed)
         memory = replace(memory, routes=routes)
@@ -349,8 +357,10 @@ def _sight(scenario: Scenario) -> Callable[[Array], Mask]:
 
 
 def _reached(scenario: Scenario, settings: Settings) -> bool:
-    if scenario.goal is None:
+    if scenario.mission is not None and not scenario.mission.done:
         return False
+    if scenario.goal is None:
+        return scenario.mission is not None
     return float(np.hypot(*(scenario.goal - scenario.robot.position))) <= settings.goal_tolerance
 
 
@@ -369,8 +379,8 @@ def _route_of(label: str, followed: str | None) -> str:
 
 def _progress(memory: Memory, scenario: Scenario) -> tuple[float, float]:
     """Shortest way to the goal so far, and when."""
-    if scenario.goal is None or not memory.routes.ways:
+    if (scenario.goal is None and scenario.mission is None) or not memory.routes.ways:
         return np.inf, scenario.now
-    length = min(way.length for way in memory.routes.ways)
+    length = min(way.to_go for way in memory.routes.ways)
     best, when = memory.nearest
     return (length, scenario.now) if length < best - 0.1 else (best, max(when, -np.inf))

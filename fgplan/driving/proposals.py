@@ -52,7 +52,7 @@ def price(
     """What a route costs from where the robot is."""
     blocked, at = delay(way, blockages, scenario, settings)
     crowd = congestion(way, scenario, belief, settings)
-    return Price(way.length / scenario.robot.preferred_speed, blocked, crowd, at)
+    return Price(way.to_go / scenario.robot.preferred_speed, blocked, crowd, at)
 
 
 def propose(

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import count as counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.errors import NoRoute
+from fgplan.hypotheses import itineraries_of
+from fgplan.mission import Itinerary, Mission
 from fgplan.occupancy import OccupancyGrid
 from fgplan.roadmap import roadmap
 from fgplan.routes import find_routes, label
@@ -21,6 +24,9 @@ from fgplan.scenario import Scenario
 from fgplan.timing import path_length
 
 Array = NDArray[np.float64]
+
+LOOK_AT = 3
+"""Itineraries of a mission looked at for each way asked for: many begin with the same way."""
 
 SPACING = 0.05
 """Between points of a path that are looked at [m]."""
@@ -49,16 +55,25 @@ class Way:
         label: Its name, for as long as it is known.
         path: Vertices, shape (N, 2) [m]; the first is where the robot is.
         log_weight: Of a plan that was given with one; 0 for others.
+        stop: Where it ends, of a mission; "" for the goal.
+        rest: What a mission still asks for beyond its end [m].
     """
 
     label: str
     path: Array
     log_weight: float = 0.0
+    stop: str = ""
+    rest: float = 0.0
 
     @property
     def length(self) -> float:
-        """[m]."""
+        """Of the path [m]."""
         return path_length(self.path)
+
+    @property
+    def to_go(self) -> float:
+        """All that is still to go [m]."""
+        return self.length + self.rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +83,7 @@ class Routes:
     Args:
         ways: The global plans, from where the robot is.
         searched: When they were searched last [s].
-        grid, goal: For what.
+        grid, goal, mission: For what.
         trouble: Why there is no route, None where there is one.
     """
 
@@ -77,6 +92,7 @@ class Routes:
     grid: OccupancyGrid | None = None
     goal: Array | None = None
     trouble: NoRoute | None = None
+    mission: Mission | None = None
 
     def update(self, scenario: Scenario, settings: Routing, keep: str | None) -> Routes:
         """The routes from where the robot is now.
@@ -88,12 +104,13 @@ class Routes:
         """
         tried = [_joined(way, scenario, settings) for way in self.ways]
         joined = [way for way in tried if way is not None]
-        changed = self.grid is not scenario.grid or not _equal(self.goal, scenario.goal)
+        elsewhere = not _equal(self.goal, scenario.goal) or self.mission != scenario.mission
+        changed = self.grid is not scenario.grid or elsewhere
         late = scenario.now - self.searched >= settings.period or scenario.now < self.searched
         late |= scenario.grid is None  # a straight line is no search
         if not (changed or late or len(joined) < len(self.ways) or not joined):
             return replace(self, ways=tuple(joined))
-        if not _equal(self.goal, scenario.goal):
+        if elsewhere:
             joined = []
         if self.grid is not scenario.grid:
             joined = [way for way in joined if _leads_on(way, scenario)]
@@ -104,7 +121,12 @@ class Routes:
             found, trouble = [], error
         ways = _named(scenario, settings, found, joined, keep) if found else joined
         return Routes(
-            tuple(ways), scenario.now, scenario.grid, scenario.goal, None if ways else trouble
+            tuple(ways),
+            scenario.now,
+            scenario.grid,
+            scenario.goal,
+            None if ways else trouble,
+            scenario.mission,
         )
 
 
@@ -115,12 +137,32 @@ def _search(scenario: Scenario) -> list[Way]:
         vertices = np.asarray(given.path, dtype=float)
         weight = 0.0 if given.weight is None else float(np.log(max(given.weight, 1e-300)))
         found.append(Way(given.label, _from(here, vertices), weight))
-    if scenario.goal is not None and scenario.count > 0:
+    if scenario.mission is not None:
+        found += _to_stops(scenario)
+    elif scenario.goal is not None and scenario.count > 0:
         routes = find_routes(
             scenario.grid, here, scenario.goal, scenario.robot.radius, scenario.count
         )
         found += [Way("", route.path) for route in routes]
     return found
+
+
+def _to_stops(scenario: Scenario) -> list[Way]:
+    """The ways to the first stop of a mission's itineraries; the weights of itineraries that begin
+    with the same way add up."""
+    count, beta = max(scenario.count, 1), scenario.density.beta
+    groups: dict[Any, list[Itinerary]] = {}
+    for one in itineraries_of(scenario, LOOK_AT * count):
+        groups.setdefault(one.signature[:1], []).append(one)
+    ways = []
+    for group in list(groups.values())[:count]:
+        first, *_ = group
+        more = [first.length - one.length for one in group]
+        weight = float(np.logaddexp.reduce(beta / scenario.robot.preferred_speed * np.array(more)))
+        stop = "+".join(sorted(first.stops[0])) if first.stops else ""
+        rest = first.length - path_length(first.ahead)
+        ways.append(Way("", first.ahead, weight, stop, rest))
+    return ways
 
 
 def _named(
@@ -135,12 +177,18 @@ def _named(
         named.append(replace(way, label=way.label or ("" if twin is None else twin.label)))
     named += [way for way in left if way.label == keep]
     used = {way.label for way in named}
-    fresh = (name for name in map(label, counter()) if name not in used)
-    return [way if way.label else replace(way, label=next(fresh)) for way in named]
+    for i, way in enumerate(named):
+        if not way.label:
+            names = (f"{way.stop} {label(n)}".strip() for n in counter())
+            named[i] = replace(way, label=next(name for name in names if name not in used))
+            used.add(named[i].label)
+    return named
 
 
 def _same(scenario: Scenario, settings: Routing, a: Way, b: Way) -> bool:
     """Whether two ways from the same place to the same goal wind about obstacles alike."""
+    if a.stop != b.stop:
+        return False
     if scenario.grid is None:
         return True
     if np.linalg.norm(a.path[-1] - b.path[-1]) > settings.same:
