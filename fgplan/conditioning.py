@@ -38,11 +38,10 @@ from factors.markov import (
 )
 from factors.measurement import position_measurement
 from factors.residual import Linear, log_gaussian_normalizer, whitener
-from fgplan.hypothesis import Hypothesis
+from fgplan.hypothesis import Course, Hypothesis
 from fgplan.measuring import ROBOT, Measurement, Reading
 from fgplan.robots import Piece
 from fgplan.scenario import Density, Level, Scenario
-from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Stamped = tuple[float, Reading]
@@ -84,7 +83,7 @@ def measuring(scenario: Scenario, name: str) -> tuple[Measurement, ...]:
 
 
 def log_likelihood(
-    readings: Iterable[Reading], course: Trajectory, now: float = 0.0, spread: float = 0.0
+    readings: Iterable[Reading], course: Course, now: float = 0.0, spread: float = 0.0
 ) -> float:
     """log p(z | η) of readings of a known trajectory, up to a constant of the readings [nats].
 
@@ -94,13 +93,16 @@ def log_likelihood(
         now: [s].
         spread: Variance of η around the course [m²] or [m²/s²], beside the noise of a reading.
     """
-    total = 0.0
-    for reading in readings:
-        time = nearest(reading, course) if reading.time is None else reading.time - now
-        W = whitener(np.asarray(reading.covariance) + spread * np.eye(2))
-        error = W @ (reading.value - _matrix(reading) @ course.at(time))
-        total -= 0.5 * float(error @ error)
-    return total
+    readings = tuple(readings)
+    if not readings:
+        return 0.0
+    times = [nearest(r, course) if r.time is None else r.time - now for r in readings]
+    states = course.at(np.array(times))
+    first = np.array([0 if r.quantity == "position" else 2 for r in readings])
+    expected = np.take_along_axis(states, first[:, None] + np.arange(2), axis=1)
+    error = np.array([r.value for r in readings]) - expected
+    R = np.array([r.covariance for r in readings]) + spread * np.eye(2)
+    return -0.5 * float(np.sum(error * np.linalg.solve(R, error[..., None])[..., 0]))
 
 
 def weigh(weights: Any, plans: Any, z: Any, covariance: Any) -> Array:
@@ -122,7 +124,7 @@ def weigh(weights: Any, plans: Any, z: Any, covariance: Any) -> Array:
     return np.asarray(np.exp(score - np.logaddexp.reduce(score)))
 
 
-def nearest(reading: Reading, course: Trajectory) -> float:
+def nearest(reading: Reading, course: Course) -> float:
     """When a trajectory is nearest to a position, in units of its noise; the first time, if it is
     so more than once."""
     W = whitener(reading.covariance)
@@ -242,7 +244,7 @@ def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) ->
     )
 
 
-def _state_now(memory: Memory, i: int, mean: Trajectory | None) -> Linear:
+def _state_now(memory: Memory, i: int, mean: Course | None) -> Linear:
     """A level's state now given the past; a density where the past fixes all of it."""
     b = memory.b[:, i]
     if mean is not None:
@@ -258,7 +260,7 @@ def _process(level: Level, density: Density) -> Process:
     return WhiteAcceleration(density.Qc_robot)
 
 
-def _mean(level: Level, hypothesis: Hypothesis) -> Trajectory | None:
+def _mean(level: Level, hypothesis: Hypothesis) -> Course | None:
     """Mean of a random level: the plan, at all times; None where it has no prior of its own."""
     return hypothesis.along if np.isfinite(level.sigma) else None
 
@@ -296,7 +298,7 @@ def _matrix(reading: Reading) -> Array:
     return np.eye(2, 4, k=0 if reading.quantity == "position" else 2)
 
 
-def _deviation(reading: Reading, mean: Trajectory | None, t: float) -> Array:
+def _deviation(reading: Reading, mean: Course | None, t: float) -> Array:
     """A reading less the mean at that time, shape (2,)."""
     if mean is None:
         return np.asarray(reading.value, dtype=float)

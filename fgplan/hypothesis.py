@@ -4,8 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 from fgplan.trajectory import Array, Trajectory
+
+
+class Course(Protocol):
+    """Where a plan is at any time: a `Trajectory` is one."""
+
+    @property
+    def times(self) -> Array:
+        """The times it covers [s from now]."""
+        ...
+
+    def at(self, times: Any) -> Array:
+        """States (x, y, vx, vy), shape (..., 4)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +59,10 @@ class Hypothesis:
     cost: float
     starts: tuple[Start, ...]
     route: Array | None = None
-    course: Trajectory | None = None
+    course: Course | None = None
 
     @property
-    def along(self) -> Trajectory:
+    def along(self) -> Course:
         """The plan at any time.
 
         Raises:

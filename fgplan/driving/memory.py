@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fgplan.driving.observation import Observation
+from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import Blockage
 from fgplan.driving.routing import Routes
 from fgplan.driving.tracking import People
@@ -29,6 +30,7 @@ class Memory:
         trajectory: What is being driven, None before the first observation.
         started: When that began [s].
         followed: Name of the hypothesis that is followed.
+        operated: What the operator said.
         jumped: Whether the last observation was refused because the robot jumped.
         nearest: Shortest way to the goal so far [m], and when it was reached [s].
     """
@@ -42,5 +44,6 @@ class Memory:
     trajectory: Trajectory | None = None
     started: float = 0.0
     followed: str | None = None
+    operated: Operated = field(default_factory=Operated)
     jumped: bool = False
     nearest: tuple[float, float] = (np.inf, -np.inf)

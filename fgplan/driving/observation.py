@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fgplan.measuring import Measurement
     from fgplan.mission import Mission
     from fgplan.occupancy import OccupancyGrid
+    from fgplan.shared_control import Deviation
 
 Array = NDArray[np.float64]
 
@@ -71,6 +72,27 @@ class Observation:
     facts: Mapping[str, bool] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Intent:
+    """What the operator is taken to want.
+
+    Args:
+        probability: Of each hypothesis by name: of each candidate goal, where no goal is known.
+        since: When the most probable one became certain, and has stayed so [s]; None where it has
+            not.
+        deviation: How far the plan stays behind what was asked for; None where nothing is asked.
+    """
+
+    probability: dict[str, float]
+    since: float | None
+    deviation: Deviation | None
+
+    @property
+    def best(self) -> str:
+        """The most probable one."""
+        return max(self.probability, key=lambda name: self.probability[name])
+
+
 class Outcome(StrEnum):
     """How a step ended, for a robot program to act on; Nav2's names where it has one."""
 
@@ -108,6 +130,7 @@ class Decision:
         repairs: What was wrong with the observation, and what was done about it.
         seconds: Time spent.
         mission: How far the mission is done; None where none was given.
+        intent: What the operator is taken to want; None where nobody said anything.
     """
 
     time: float
@@ -120,3 +143,4 @@ class Decision:
     repairs: tuple[str, ...] = ()
     seconds: float = 0.0
     mission: Mission | None = None
+    intent: Intent | None = None

@@ -14,6 +14,7 @@ from fgplan.driving.following import action_of, at_start_of, halt, shifted, stan
 from fgplan.driving.guard import Guarded, Others, Tier, guard
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
+from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import update as update_blockages
 from fgplan.driving.progress import progressed
 from fgplan.driving.proposals import price, propose, route
@@ -25,6 +26,7 @@ from fgplan.hypothesis import Hypothesis
 from fgplan.mixture import Component, Mixture
 from fgplan.planner import plan
 from fgplan.scenario import Robot, Scenario
+from fgplan.shared_control import Lead, pointed
 from fgplan.trajectory import Trajectory
 from fgplan.validation import validate
 
@@ -45,7 +47,7 @@ class Planner:
         scenario: Robot, goal, map, field of view and density to begin with; its tracks are not
             used, people come with the observations.
         settings: Everything else.
-        sources: Hypotheses beside the routes, e.g. where an operator points.
+        sources: Hypotheses beside the routes, e.g. `CandidateGoals` where no goal is known.
 
     Raises:
         ScenarioError: the scenario makes no sense; all mistakes are named.
@@ -60,7 +62,7 @@ class Planner:
         validate(scenario)
         self.settings = settings
         self.sources = tuple(sources)
-        self.memory = Memory(scenario.replace(tracks=()))
+        self.memory = Memory(scenario.replace(tracks=(), data=()), operated=Operated(scenario.data))
         d = scenario.density
         self._tracker = Tracker(d.Qc_people, d.sigma_track, d.sigma_speed, settings.tracking)
 
@@ -96,6 +98,8 @@ class Planner:
         mission, unknown = progressed(scenario, came_from, observation.facts)
         further = observation.goal is not None or mission != scenario.mission
         scenario = scenario.replace(mission=mission)
+        operated, doubts = memory.operated.hear(observation.operator, scenario)
+        scenario = scenario.replace(data=operated.data)
         people, refused = self._look(memory, scenario, observation)
         belief = people.belief(scenario.density.Qc_people)
         memory = replace(
@@ -103,11 +107,12 @@ class Planner:
             scenario=scenario,
             observation=observation,
             people=people,
+            operated=operated,
             mixture=None if memory.jumped else memory.mixture,
             jumped=False,
             nearest=(np.inf, -np.inf) if further else memory.nearest,
         )
-        repairs += (*unknown, *refused)
+        repairs += (*unknown, *refused, *doubts)
         if _reached(scenario, settings):
             what = "goal reached" if mission is None else "mission done"
             return self._rest(memory, belief, Outcome.GOAL_REACHED, what, repairs)
@@ -155,13 +160,23 @@ class Planner:
     ) -> tuple[Decision, Memory]:
         settings, scenario = self.settings, memory.scenario
 
+        ways = [
+            (way, price(way, scenario, belief, memory.blockages, settings.pricing))
+            for way in memory.routes.ways
+        ]
+        operated = memory.operated
+        if scenario.data:
+            leads = [Lead(way.path, cost.total) for way, cost in ways]
+            operated = operated.seek(scenario, leads, settings.routing)
+        proposed: list[Hypothesis] = []
+
         def hypotheses(scenario: Scenario, belief: Belief) -> Sequence[Hypothesis]:
-            ways = [
-                (way, price(way, scenario, belief, memory.blockages, settings.pricing))
-                for way in memory.routes.ways
-            ]
             others = [h for source in self.sources for h in source(scenario, belief)]
-            return propose(
+            if scenario.data:
+                known = leads + [Lead(h.route, h.cost) for h in others if h.route is not None]
+                via = operated.via[0]
+                others += pointed(scenario, belief, known, None if via is None else via.path)
+            found = propose(
                 scenario,
                 belief,
                 ways,
@@ -170,6 +185,8 @@ class Planner:
                 settings.wait,
                 others,
             )
+            proposed.extend(found)
+            return tuple(operated.recall(h, scenario.now, memory.followed) for h in found)
 
         left = None
         if settings.deadline is not None:
@@ -203,6 +220,9 @@ class Planner:
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
         outcome, reason = self._outcome(memory, before, chosen, safe, label)
         nearest = _progress(memory, scenario)
+        operated, intent = operated.note(proposed, scenario, label).understand(
+            mixture, scenario, driven
+        )
         decision = Decision(
             time=scenario.now,
             action=action_of(scenario, safe, reason),
@@ -212,9 +232,11 @@ class Planner:
             mixture=mixture,
             label=label,
             repairs=repairs,
+            intent=intent,
         )
         memory = replace(
             memory,
+            operated=operated,
             mixture=mixture,
             trajectory=driven,
             started=scenario.now,
@@ -332,8 +354,6 @@ def _now(scenario: Scenario, observation: Observation) -> Scenario:
     changes = {"robot": robot, "now": float(observation.time)}
     if observation.grid is not None:
         changes["grid"] = observation.grid
-    if observation.operator:
-        changes["data"] = (*scenario.data, *observation.operator)
     if observation.goal is not None:
         changes["goal"] = np.asarray(observation.goal, dtype=float)
     return scenario.replace(**changes)

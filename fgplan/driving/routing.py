@@ -102,24 +102,24 @@ class Routes:
             settings: See `Routing`.
             keep: Name of the route that is being followed: it stays, if it still leads on.
         """
-        tried = [_joined(way, scenario, settings) for way in self.ways]
-        joined = [way for way in tried if way is not None]
+        tried = [joined(way, scenario, settings) for way in self.ways]
+        known = [way for way in tried if way is not None]
         elsewhere = not _equal(self.goal, scenario.goal) or self.mission != scenario.mission
         changed = self.grid is not scenario.grid or elsewhere
         late = scenario.now - self.searched >= settings.period or scenario.now < self.searched
         late |= scenario.grid is None  # a straight line is no search
-        if not (changed or late or len(joined) < len(self.ways) or not joined):
-            return replace(self, ways=tuple(joined))
+        if not (changed or late or len(known) < len(self.ways) or not known):
+            return replace(self, ways=tuple(known))
         if elsewhere:
-            joined = []
+            known = []
         if self.grid is not scenario.grid:
-            joined = [way for way in joined if _leads_on(way, scenario)]
+            known = [way for way in known if _leads_on(way, scenario)]
         trouble = None
         try:
             found = _search(scenario)
         except NoRoute as error:
             found, trouble = [], error
-        ways = _named(scenario, settings, found, joined, keep) if found else joined
+        ways = _named(scenario, settings, found, known, keep) if found else known
         return Routes(
             tuple(ways),
             scenario.now,
@@ -198,7 +198,7 @@ def _same(scenario: Scenario, settings: Routing, a: Way, b: Way) -> bool:
     return not np.any(road.signature(road.to_lattice(loop)))
 
 
-def _joined(way: Way, scenario: Scenario, settings: Routing) -> Way | None:
+def joined(way: Way, scenario: Scenario, settings: Routing) -> Way | None:
     """The way from here on; None where the straight line to it is not free."""
     here, radius, grid = scenario.robot.position, scenario.robot.radius, scenario.grid
     path = densified(way.path)

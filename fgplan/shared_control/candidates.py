@@ -27,6 +27,8 @@ Kind = Literal["given", "door", "end", "corner"]
 
 DOOR = 0.7
 """Narrow is less than this share of the widest space on the way."""
+SAME_WIDTH = 1.3
+"""A corridor's width may vary by this factor along it."""
 CORRIDOR = 2.5
 """Space narrower than this is a corridor [m]."""
 REACH = 1.5
@@ -121,7 +123,8 @@ def _narrows(grid: OccupancyGrid, road: Roadmap, length: Array) -> list[tuple[Ki
             continue
         room = grid.clearance(path, 0.0)
         s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-        narrow = np.concatenate([[False], room < DOOR * room.max(), [False]])
+        width = min(DOOR * room.max(), SAME_WIDTH * room.min() + grid.resolution)
+        narrow = np.concatenate([[False], room < width, [False]])
         edges = np.flatnonzero(np.diff(narrow.astype(int)))
         for first, stop in zip(edges[::2], edges[1::2], strict=True):
             last = stop - 1

@@ -2,9 +2,9 @@
 
 Data only weighs the hypotheses there are, and bends them within their width. Where a waypoint lies
 off all of them, or a stick points where none of them goes, the operator wants something that is
-not there yet: a route through the waypoint, the straight continuation of the stick. The new
-hypothesis is priced like any other, and what is in its way is the robot's concern: η_0 may lead
-into a wall, f^R will not.
+not there yet: a route through the waypoint, the straight continuation of the stick. Where that
+meets a wall it slides along it: the safe motion that is nearest to what is asked. The new
+hypothesis is priced like any other; people in its way are the density's concern.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from fgplan.errors import NoRoute
 from fgplan.hypotheses import times_of_data
 from fgplan.hypothesis import Hypothesis
 from fgplan.measuring import Reading
+from fgplan.occupancy import OccupancyGrid
 from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
 from fgplan.timing import path_length, timed
+from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Source = Callable[[Scenario, Belief], Sequence[Hypothesis]]
@@ -36,6 +38,10 @@ STICK, ON, VIA = "stick", "on", "via waypoints"
 
 LEADS = np.deg2rad(30)
 """A plan within this angle of the stick leads where it points."""
+SPACING = 0.05
+"""Of the points of a path along walls [m]."""
+CLEARANCE = 0.05
+"""What it keeps from them [m]."""
 SLOWEST = 0.1
 """A stick that asks for less than this share of the preferred speed points nowhere."""
 
@@ -61,7 +67,10 @@ def operated(source: Source) -> Source:
         known = tuple(h for h in known if h.plan is not None)
         leads = [Lead(h.route, h.cost) for h in known if h.route is not None]
         best = max((h.log_prior for h in known), default=0.0)
-        new = [replace(h, log_prior=h.log_prior + best) for h in pointed(scenario, belief, leads)]
+        via = path_via(scenario, leads)
+        new = [
+            replace(h, log_prior=h.log_prior + best) for h in pointed(scenario, belief, leads, via)
+        ]
         found = (*known, *new)
         total = np.logaddexp.reduce([h.log_prior for h in found])
         return tuple(replace(h, log_prior=float(h.log_prior - total)) for h in found)
@@ -69,18 +78,25 @@ def operated(source: Source) -> Source:
     return hypotheses
 
 
-def pointed(scenario: Scenario, belief: Belief, leads: Sequence[Lead]) -> tuple[Hypothesis, ...]:
+def pointed(
+    scenario: Scenario, belief: Belief, leads: Sequence[Lead], via: Array | None
+) -> tuple[Hypothesis, ...]:
     """Hypotheses for what the operator says and none of the known ones leads to.
 
     Their `log_prior` is −β (J − min J of the known ones), not normalised. Without a goal nothing
     is known: then going on as now is one more hypothesis.
+
+    Args:
+        scenario: What is known now, data among it.
+        belief: The people.
+        leads: What is known already.
+        via: A path through the waypoints, as `path_via` finds it, where none of these is one.
     """
     found = []
     if scenario.goal is None and not leads:
         found.append(_going_on(scenario, belief))
-    path = path_via(scenario, leads)
-    if path is not None:
-        found.append(_followed(scenario, belief, VIA, path, _beyond_best(scenario, path, leads)))
+    if via is not None:
+        found.append(_followed(scenario, belief, VIA, via, _beyond_best(scenario, via, leads)))
     stick = stick_velocity(scenario)
     if stick is not None and not _leads(scenario, stick, leads):
         found.append(_continued(scenario, belief, stick, leads))
@@ -175,8 +191,10 @@ def _beyond_best(scenario: Scenario, path: Array, leads: Sequence[Lead]) -> tupl
 
 
 def _going_on(scenario: Scenario, belief: Belief) -> Hypothesis:
-    plan = coast(scenario)
+    plan, robot = coast(scenario), scenario.robot
     ahead = plan.positions[[0, -1]]
+    if scenario.grid is not None and np.any(scenario.grid.clearance(plan.positions, 0.0) < 0):
+        plan, ahead = _slid(scenario, robot.velocity)
     return Hypothesis(ON, 0.0, plan, 0.0, starts(scenario, belief, plan, ahead), ahead)
 
 
@@ -206,13 +224,53 @@ def _continued(
     A second of it changes the way to the goal by 1 − cos of the angle to the best known path, to
     first order: that is what it costs beyond that path.
     """
-    robot, d = scenario.robot, scenario.density
-    speed = min(float(np.hypot(*stick)), robot.max_speed)
-    ahead = stick / np.hypot(*stick) * speed * (d.horizon + 1.0)
-    path = np.vstack([robot.position, robot.position + ahead])
-    plan = timed(path, d.times, speed, robot.max_acceleration, robot.velocity, end_speed=speed)
+    d = scenario.density
+    plan, path = _slid(scenario, stick)
     best = min(leads, key=lambda lead: lead.cost, default=None)
     extra = 0.0 if best is None else 1 - float(np.cos(_angle(scenario, stick, best)))
     cost = extra + (0.0 if best is None else best.cost)
     tries = starts(scenario, belief, plan, path)
     return Hypothesis(STICK, -d.beta * extra, plan, cost, tries, path)
+
+
+def _slid(scenario: Scenario, velocity: Array) -> tuple[Trajectory, Array]:
+    """A velocity that is held for longer than the horizon, and along walls as far as it leads
+    along them: the plan, and its path (N, 2)."""
+    robot, d, grid = scenario.robot, scenario.density, scenario.grid
+    speed = float(np.hypot(*velocity))
+    ask = velocity / speed
+    length = min(speed, robot.max_speed) * (d.horizon + 1.0)
+    if grid is None:
+        path = np.vstack([robot.position, robot.position + length * ask])
+    else:
+        points = [np.asarray(robot.position, dtype=float)]
+        for _ in range(int(np.ceil(length / SPACING))):
+            step = _free_step(grid, robot.radius, points[-1], SPACING * ask)
+            if step is None:
+                break
+            points.append(points[-1] + step)
+        path = np.array(points)
+    along = path_length(path)
+    # Along a wall it goes at the part of the speed that leads there, and in a corner it stands.
+    reached = along >= 0.99 * length
+    pace = max(min(speed, robot.max_speed) * min(along / length, 1.0), 0.05)
+    end = pace if reached or along > pace * d.horizon else 0.0
+    plan = timed(path, d.times, pace, robot.max_acceleration, robot.velocity, end_speed=end)
+    return plan, path if len(path) > 1 else np.vstack([path, path])
+
+
+def _free_step(grid: OccupancyGrid, radius: float, here: Array, step: Array) -> Array | None:
+    """A step, or what of it leads along the wall; None where neither is free."""
+    gap = grid.clearance(np.array([here, here + step]), radius)
+    least = min(CLEARANCE, float(gap[0]))
+    if gap[1] >= least:
+        return step
+    around = here + SPACING * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    east, west, north, south = grid.clearance(around, radius).tolist()
+    away = np.array([east - west, north - south])
+    if not away.any():
+        return None
+    away /= np.hypot(*away)
+    aside = step - min(float(step @ away), 0.0) * away
+    free = float(grid.clearance((here + aside)[None], radius)[0]) >= least - 0.2 * SPACING
+    return aside if free and np.hypot(*aside) > 0.02 * SPACING else None

@@ -1,0 +1,237 @@
+"""The operator while driving: what was said, what of it is remembered, and what it comes to.
+
+Plans are rebuilt from where the robot is at every step, so a datum of two seconds ago cannot be
+compared with a plan of now. It is compared with the plan that its hypothesis, known by its name,
+had at that time: what a stick said at a fork keeps counting for the way it pointed at, however the
+robot has moved since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.crowd import Belief
+from fgplan.driving.observation import Intent
+from fgplan.driving.proposals import route
+from fgplan.driving.routing import Routes, Routing, Way, joined
+from fgplan.errors import NoRoute
+from fgplan.hypotheses import hypothesise
+from fgplan.hypothesis import Hypothesis
+from fgplan.measuring import Measurement
+from fgplan.mixture import Mixture
+from fgplan.scenario import GivenPlan, Scenario
+from fgplan.shared_control import (
+    VIA,
+    Candidate,
+    Lead,
+    Waypoint,
+    admit,
+    deviation,
+    path_via,
+    waypoints,
+)
+from fgplan.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+LENGTHS = 6.0
+"""Correlation times of the longest level after which data is forgotten: by then it moves a level
+by less than 4e-4 of what it did."""
+NEAR = 0.3
+"""How far ahead of the robot the way through the waypoints is joined [m]."""
+MOST = 400
+"""Readings that are remembered: the latest."""
+CERTAIN = 0.9
+"""From this probability on it is known what the operator wants."""
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """A hypothesis through time: the plan it had at each step, each until the next, then the
+    plan of now.
+
+    Args:
+        starts: When each plan was made, increasing, the last one 0 [s from now].
+        plans: On their own clocks, which begin at 0.
+    """
+
+    starts: Array
+    plans: tuple[Trajectory, ...]
+
+    @property
+    def times(self) -> Array:
+        """From the first plan's beginning to the last one's end [s from now]."""
+        return np.concatenate([self.starts[:-1], self.plans[-1].times])
+
+    def at(self, times: Any) -> Array:
+        """States (x, y, vx, vy) at times from now, shape (..., 4)."""
+        t = np.asarray(times, dtype=float)
+        which = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, None)
+        states = np.empty((*t.shape, 4))
+        for k in np.unique(which):
+            mine = which == k
+            states[mine] = self.plans[k].at(t[mine] - self.starts[k])
+        return states
+
+
+@dataclass(frozen=True, eq=False)
+class Operated:
+    """What is remembered of the operator.
+
+    Args:
+        data: What was said, each item once.
+        plans: Of each hypothesis by the name of its route: when it was made [s], and the plan.
+        met: Names of waypoints that were reached.
+        via: The way through the waypoints, for which of them, and when it was searched [s].
+        best: What the operator most probably wants, and since when it has been certain [s].
+    """
+
+    data: tuple[Measurement, ...] = ()
+    plans: Mapping[str, tuple[tuple[float, Trajectory], ...]] = field(default_factory=dict)
+    met: tuple[str, ...] = ()
+    via: tuple[Way | None, bytes, float] = (None, b"", -np.inf)
+    best: tuple[str, float] | None = None
+
+    def hear(
+        self, said: Iterable[Measurement], scenario: Scenario
+    ) -> tuple[Operated, tuple[str, ...]]:
+        """With new data, without what is over, and what was refused or cannot be done."""
+        admitted = admit(said, scenario)
+        horizon = LENGTHS * max(level.length for level in scenario.levels)
+        kept = [m for m in self.data if not _over(m, scenario.now - horizon)]
+        data, met = [], []
+        for measurement in (*kept, *admitted.data):
+            if isinstance(measurement, Waypoint) and _is_met(measurement, scenario):
+                met.append(measurement.name)
+            else:
+                data.append(measurement)
+        while sum(len(m.readings) for m in data) > MOST:
+            data.pop(0)
+        notes = (*admitted.notes, *(f"{name} is reached" for name in met))
+        plans = self.plans if data else {}
+        return replace(self, data=tuple(data), plans=plans, met=(*self.met, *met)), notes
+
+    def seek(self, scenario: Scenario, leads: Sequence[Lead], routing: Routing) -> Operated:
+        """With the way through the waypoints from where the robot is, where no known one leads."""
+        way, places, searched = self.via
+        wanted = b"".join(np.asarray(w.value, dtype=float).tobytes() for w in waypoints(scenario))
+        if wanted == places and 0 <= scenario.now - searched < routing.period:
+            # Joined further ahead, the way would leave out the place that it is for.
+            near = None if way is None else joined(way, scenario, replace(routing, ahead=NEAR))
+            if way is None or near is not None:
+                return replace(self, via=(near, places, searched))
+        path = path_via(scenario, leads)
+        found = None if path is None else Way(VIA, path)
+        return replace(self, via=(found, wanted, scenario.now))
+
+    def recall(self, hypothesis: Hypothesis, now: float, followed: str | None) -> Hypothesis:
+        """A hypothesis with its course so far. What was not there then shares the past of what was
+        followed: it branches off from there."""
+        name = route(hypothesis.label)
+        known = self.plans.get(name) or (self.plans.get(followed) if followed else None)
+        if not known or hypothesis.plan is None:
+            return hypothesis
+        ahead = hypothesis.along
+        assert isinstance(ahead, Trajectory)
+        starts = np.array([start - now for start, _ in known] + [0.0])
+        course = Remembered(starts, (*(plan for _, plan in known), ahead))
+        return replace(hypothesis, course=course)
+
+    def note(
+        self, hypotheses: Sequence[Hypothesis], scenario: Scenario, followed: str | None
+    ) -> Operated:
+        """With the plans of this step, as long as there is data that they may be compared with."""
+        now = scenario.now
+        readings = [r for m in self.data for r in m.readings]
+        if not any(r.time is not None and r.time >= now for r in readings):
+            return self
+        oldest = min((r.time for r in readings if r.time is not None), default=now)
+        plans = dict(self.plans)
+        for h in hypotheses:
+            name = route(h.label)
+            if h.plan is None or name != h.label:
+                continue  # who waits on a route is on that route
+            before = plans.get(name) or plans.get(followed or "") or ()
+            recent = tuple(one for one in before if one[0] < now)
+            # The one plan in force at the oldest datum is still needed.
+            first = max(sum(start <= oldest for start, _ in recent) - 1, 0)
+            plans[name] = (*recent[first:], (now, h.plan))
+        return replace(self, plans=plans)
+
+    def understand(
+        self, mixture: Mixture, scenario: Scenario, driven: Trajectory
+    ) -> tuple[Operated, Intent | None]:
+        """What the operator wants, as far as it is known, and what the plan leaves of it."""
+        if not self.data and self.best is None:
+            return self, None
+        probability: dict[str, float] = {}
+        for component, p in zip(mixture.components, mixture.probability_height, strict=True):
+            name = route(component.label.split("+")[0])  # merged hypotheses are one plan
+            probability[name] = probability.get(name, 0.0) + float(p)
+        name = max(probability, key=lambda key: probability[key])
+        certain = self.best if self.best is not None and self.best[0] == name else None
+        if probability[name] < CERTAIN:
+            certain = None
+        elif certain is None:
+            certain = (name, scenario.now)
+        asked = scenario.replace(data=self.data)
+        intent = Intent(
+            probability, None if certain is None else certain[1], deviation(asked, driven)
+        )
+        return replace(self, best=certain), intent
+
+
+class CandidateGoals:
+    """A source of hypotheses for a `Planner` without a goal: the way to each candidate.
+
+    All are equally probable before the operator says anything. A way is searched as routes are,
+    once a second, and joined to where the robot is in between.
+
+    Args:
+        candidates: Given, or found by `fgplan.shared_control.find_candidates`.
+        routing: How ways are kept up to date.
+    """
+
+    def __init__(
+        self,
+        candidates: Sequence[Candidate],
+        routing: Routing = Routing(),  # noqa: B008 - frozen
+    ) -> None:
+        self.candidates = tuple(candidates)
+        self.routing = routing
+        self._routes: dict[str, Routes] = {}
+
+    def __call__(self, scenario: Scenario, belief: Belief) -> Sequence[Hypothesis]:
+        found = []
+        for candidate in self.candidates:
+            towards = scenario.replace(goal=candidate.position, count=1, plans=())
+            before = self._routes.get(candidate.label, Routes())
+            routes = before.update(towards, self.routing, None)
+            self._routes[candidate.label] = routes
+            if routes.ways:
+                given = GivenPlan(candidate.label, routes.ways[0].path, 1.0)
+                try:
+                    own = hypothesise(towards.replace(plans=(given,), count=0), belief)
+                except NoRoute:
+                    continue
+                found.append(replace(own[0], log_prior=0.0))
+        return found
+
+
+def _over(measurement: Measurement, oldest: float) -> bool:
+    """Whether all of its readings are older than that; places without a time are never over."""
+    times = [reading.time for reading in measurement.readings]
+    return bool(times) and all(t is not None and t < oldest for t in times)
+
+
+def _is_met(waypoint: Waypoint, scenario: Scenario) -> bool:
+    """Whether the robot is within a standard deviation of a place that has no time."""
+    if waypoint.time is not None:
+        return False
+    off = scenario.robot.position - waypoint.position
+    return bool(off @ np.linalg.solve(waypoint.covariance, off) <= 1)
