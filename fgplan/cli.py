@@ -12,23 +12,22 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fgplan import selection
-from fgplan.errors import FgplanError, NoPlan
-from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace, Progress
+from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace
 from fgplan.mixture import Component, Mixture
 from fgplan.planner import plan
 from fgplan.scenario import Scenario
+from fgplan.simulation import command
 from fgplan.solver import GtsamLM, SecondOrder, Solver
+from fgplan.terminal import fail, progress, reported, write
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
     from rich.table import Table
 
 WIDTH = 120
@@ -55,6 +54,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+app.add_typer(command.evaluate, name="evaluate")
 
 
 class SolverName(StrEnum):
@@ -134,14 +134,14 @@ def plan_command(
     """Plan one scenario, or one moment of a recording: table, plan.json and plan.png."""
     if inference is InferenceName.MAP and select is SelectName.MASS:
         raise typer.BadParameter("map gives no evidence to select by", param_hint="--inference")
-    with _reported():
+    with reported():
         asked = _asked(scenario, recording, case, at)
         if crowd is not None:
             asked = asked.replace(crowd=crowd.value)
-        with _progress() as progress:
+        with progress() as tell:
             mixture = plan(
                 asked, solver=SOLVERS[solver], select=RULES[select],
-                inference=METHODS[inference], seed=seed, progress=progress,
+                inference=METHODS[inference], seed=seed, progress=tell,
             )  # fmt: skip
     if json_to == "-":
         print(_json(mixture))
@@ -153,7 +153,7 @@ def plan_command(
             print("\n".join(_inferences(mixture)))
     written = []
     if json_to not in (None, "-"):
-        written.append(_write(Path(str(json_to)), _json(mixture)))
+        written.append(write(Path(str(json_to)), _json(mixture)))
     if out is not None or json_to is None:
         written += _save(mixture, asked, out or Path("out"), "plan")
     if written and json_to != "-":
@@ -171,13 +171,13 @@ def demo(
     folder = data or Path(__file__).parents[1] / "data"
     files = [folder / "scenarios" / f"three_corridors{end}.toml" for end in ("", "_crowd")]
     if not all(file.is_file() for file in files):
-        _fail(
+        fail(
             f"the demo needs {files[0].name} and {files[1].name} of the source tree, which are "
             f"not in {folder / 'scenarios'}; name its data folder with --data"
         )
     plans = []
     for file in files:
-        with _reported():
+        with reported():
             asked = Scenario.load(file)
             plans.append((plan(asked), asked))
         _show(plans[-1][0])
@@ -206,7 +206,7 @@ def graph(
     """Print the factor graph of a hypothesis, and draw it: .dot, and .svg where Graphviz is."""
     from fgplan import drawing
 
-    with _reported():
+    with reported():
         models = drawing.models(Scenario.load(scenario))
     label = hypothesis or next(iter(models))
     if label not in models:
@@ -214,7 +214,7 @@ def graph(
             f"{label!r} is none of {', '.join(models)}", param_hint="hypothesis"
         )
     print(f"hypothesis {label}: {drawing.describe(models[label])}")
-    written = [_write(out, drawing.dot(models[label]))]
+    written = [write(out, drawing.dot(models[label]))]
     program = shutil.which("dot")
     if program is not None:
         picture = out.with_suffix(".svg")
@@ -238,33 +238,6 @@ def _asked(scenario: Path | None, recording: Path | None, case: str | None, at: 
     return recordings.scenario(recording, case, at)
 
 
-@contextmanager
-def _reported() -> Iterator[None]:
-    """Errors of the input, or of the search, in words; anything else keeps its traceback."""
-    try:
-        yield
-    except FgplanError as error:
-        _fail(str(error), 1 if isinstance(error, NoPlan) else 2)
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """A bar on a terminal's standard error for what takes long; it goes when all is done."""
-    from rich.console import Console
-    from rich.progress import Progress as Bars
-
-    console = Console(stderr=True)
-    with Bars(console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def tell(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bars.add_task(what, total=total)
-            bars.update(tasks[what], completed=done, visible=done < total)
-
-        yield tell
-
-
 def _inferences(mixture: Mixture) -> Iterator[str]:
     """What the inference method says of each hypothesis."""
     for c in mixture.components:
@@ -282,29 +255,15 @@ def _inferences(mixture: Mixture) -> Iterator[str]:
         yield f"inference {c.label} by {result.method}: {', '.join(parts)}"
 
 
-def _fail(message: str, code: int = 2) -> NoReturn:
-    print(f"fgplan: {message}", file=sys.stderr)
-    raise typer.Exit(code)
-
-
 def _json(mixture: Mixture) -> str:
     return json.dumps(mixture.to_dict(), allow_nan=False)
-
-
-def _write(path: Path, text: str) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        _fail(f"{path} cannot be written: {error}")
-    return path
 
 
 def _save(mixture: Mixture, scenario: Scenario, folder: Path, stem: str) -> list[Path]:
     """The plan as JSON and as a picture."""
     from fgplan.plotting import draw_plan  # matplotlib only when something is drawn
 
-    data = _write(folder / f"{stem}.json", _json(mixture))
+    data = write(folder / f"{stem}.json", _json(mixture))
     picture = folder / f"{stem}.png"
     draw_plan(mixture, scenario, picture)
     return [data, picture]

@@ -41,6 +41,7 @@ RANKS = [
     {"selection"},
     {"planner"},
     {"drawing", "driving", "peers"},
+    {"terminal"},
     {"simulation"},
     {"plotting"},
     {"cli", "web"},

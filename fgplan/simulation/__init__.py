@@ -1,0 +1,1 @@
+"""Closed loop: worlds to drive in, peers to drive against, and what is measured."""

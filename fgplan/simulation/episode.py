@@ -1,0 +1,205 @@
+"""One run in closed loop, and all that happened in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.driving import Observation, Outcome
+from fgplan.simulation.body import Body
+from fgplan.simulation.gaps import Still
+from fgplan.simulation.people import Disc, People
+from fgplan.simulation.policy import Command, Policy
+from fgplan.simulation.world import World
+
+Array = NDArray[np.float64]
+
+
+class End(StrEnum):
+    """How a run ended."""
+
+    GOAL = "goal"
+    COLLISION = "collision"
+    TIMEOUT = "timeout"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What happened, step by step; S steps were made, so there are S + 1 states.
+
+    Args:
+        name: Of the world.
+        end: How it ended.
+        times: Shape (S + 1,) [s].
+        robot: Rows (x, y, vx, vy), shape (S + 1, 4) [m, m/s].
+        headings: Of the robot, shape (S + 1,) [rad].
+        people: Positions, shape (S + 1, n, 2) [m]; not a number where somebody is not there.
+        radii: Of robot and people, shape (1 + n,) [m].
+        gaps: Least distance between the edges of the robot and anybody during each step, shape
+            (S,) [m]; inf where nobody was there.
+        blocked: Whether a wall stopped the robot in the step, shape (S,).
+        outcomes: What the policy said, S of them.
+        labels: Of the hypothesis followed, S of them.
+        seconds: Which the policy took, shape (S,) [s].
+        goal: At the end, shape (2,) [m].
+        reference: Length of the shortest way [m].
+        delays: Time each person lost against walking on alone, shape (n,) [s]; empty where
+            people go nowhere in particular.
+        discomfort: The gap below which people feel uneasy [m].
+        error: What the policy raised, in words.
+    """
+
+    name: str
+    end: End
+    times: Array
+    robot: Array
+    headings: Array
+    people: Array
+    radii: Array
+    gaps: Array
+    blocked: NDArray[np.bool_]
+    outcomes: tuple[Outcome, ...]
+    labels: tuple[str | None, ...]
+    seconds: Array
+    goal: Array
+    reference: float
+    delays: Array
+    discomfort: float
+    error: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What somebody who watches a run sees of each step.
+
+    Args:
+        observation: What the robot saw.
+        command: What it did.
+        people: All people, in truth.
+    """
+
+    observation: Observation
+    command: Command
+    people: People
+
+
+Watch = Callable[[Moment], None]
+
+
+def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
+    """Drive until the goal is reached, the time is up, or the rules say that it is over.
+
+    An error of the policy ends the run and is kept in it: thousands of runs must not be lost by
+    one.
+
+    Args:
+        world: Made for this run.
+        policy: Made for this run.
+        watch: Told of each step.
+    """
+    rules, people, body = world.rules, world.people, Body(world.scenario, world.limits)
+    goal = np.asarray(world.scenario.goal, dtype=float)
+    events = sorted(world.events, key=lambda event: event.time)
+    log = _Log(body, people)
+    dt = rules.period / rules.substeps
+    start, step, end, error = world.scenario.now, 0, End.TIMEOUT, ""
+    while step * rules.period < rules.time_limit - 1e-9:
+        elapsed = step * rules.period
+        time = round(start + elapsed, 9)
+        news = None
+        while events and events[0].time <= elapsed + 1e-9:
+            goal = news = np.asarray(events.pop(0).goal, dtype=float)
+        seen = world.sensor(time, body, people)
+        observation = Observation(
+            time=time,
+            position=body.position,
+            velocity=body.velocity,
+            heading=body.heading,
+            yaw_rate=body.yaw_rate,
+            detections=seen.detections,
+            grid=seen.grid,
+            goal=news,
+        )
+        before = perf_counter()
+        try:
+            command = policy.step(observation)
+        except Exception as problem:
+            end, error = End.ERROR, f"{type(problem).__name__}: {problem}"
+            break
+        took = perf_counter() - before
+        if watch is not None:
+            watch(Moment(observation, command, people))
+        gap, blocked = np.inf, False
+        for _ in range(rules.substeps):
+            disc = Disc(body.position, body.velocity, body.radius)
+            was = Still(people.positions, people.velocities, people.present.copy())
+            people.advance(dt, disc if rules.seen_by_people else None)
+            body.advance(command, dt, world.grid)
+            gap = min(gap, rules.gap(disc, was, body, people, dt))
+            blocked |= body.blocked
+        step += 1
+        log.add(body, people, command, took, gap, blocked)
+        if gap < 0 and rules.contact_ends:
+            end = End.COLLISION
+            break
+        if float(np.hypot(*(body.position - goal))) < rules.tolerance:
+            end = End.GOAL
+            break
+    reference = world.reference
+    if reference is None:
+        reference = float(np.hypot(*(goal - world.scenario.robot.position)))
+    delays = getattr(people, "delays", np.zeros(0))
+    return log.episode(world, end, rules.period, goal, reference, delays, error)
+
+
+class _Log:
+    """Collects the steps of a run."""
+
+    def __init__(self, body: Body, people: People) -> None:
+        self.radii = np.concatenate([[body.radius], people.radii])
+        self.states: list[Array] = []
+        self.headings: list[float] = []
+        self.people: list[Array] = []
+        self.steps: list[tuple[Command, float, float, bool]] = []
+        self._state(body, people)
+
+    def _state(self, body: Body, people: People) -> None:
+        self.states.append(np.concatenate([body.position, body.velocity]))
+        self.headings.append(body.heading)
+        self.people.append(np.where(people.present[:, None], people.positions, np.nan))
+
+    def add(
+        self, body: Body, people: People, command: Command, took: float, gap: float, blocked: bool
+    ) -> None:
+        self._state(body, people)
+        self.steps.append((command, took, gap, blocked))
+
+    def episode(
+        self, world: World, end: End, period: float, goal: Array, reference: float, delays: Array,
+        error: str,
+    ) -> Episode:  # fmt: skip
+        return Episode(
+            name=world.name,
+            end=end,
+            times=np.arange(len(self.states)) * np.float64(period),
+            robot=np.array(self.states),
+            headings=np.array(self.headings),
+            people=np.array(self.people),
+            radii=self.radii,
+            gaps=np.array([gap for _, _, gap, _ in self.steps]),
+            blocked=np.array([blocked for *_, blocked in self.steps], dtype=bool),
+            outcomes=tuple(command.outcome for command, *_ in self.steps),
+            labels=tuple(command.label for command, *_ in self.steps),
+            seconds=np.array([took for _, took, _, _ in self.steps]),
+            goal=goal,
+            reference=reference,
+            delays=np.array(delays),
+            discomfort=world.rules.discomfort,
+            error=error,
+        )

@@ -1,0 +1,39 @@
+"""Planners by name: fgplan, fgplan with one feature removed, and its peers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from difflib import get_close_matches
+from functools import partial
+
+from fgplan.errors import FgplanError
+from fgplan.simulation.layered import Layered
+from fgplan.simulation.peers import OrcaRobot, Straight
+from fgplan.simulation.policy import Policy
+from fgplan.simulation.world import World
+
+Maker = Callable[[World], Policy]
+"""Makes a policy for one run; of a world it may know the scenario, the rules and the limits."""
+
+PLANNERS: dict[str, Maker] = {
+    "layered": Layered,
+    "layered-global": partial(Layered, people_in="global"),
+    "orca": OrcaRobot,
+    "straight": Straight,
+}
+
+
+class UnknownPlanner(FgplanError, ValueError):
+    """A name that no planner has."""
+
+
+def named(name: str) -> Maker:
+    """The planner of a name.
+
+    Raises:
+        UnknownPlanner: there is none.
+    """
+    if name not in PLANNERS:
+        near = get_close_matches(name, PLANNERS, n=3) or sorted(PLANNERS)
+        raise UnknownPlanner(f"planner: got {name!r}; give one of {', '.join(near)}")
+    return PLANNERS[name]
