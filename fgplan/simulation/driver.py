@@ -1,21 +1,16 @@
-"""fgplan's planner as a policy."""
+"""fgplan's planner as a policy, whole or with one feature removed."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
-from fgplan.driving import Decision, Observation
+import numpy as np
+
+from fgplan.driving import Observation, Planner, Settings
 from fgplan.robots import Holonomic
-from fgplan.scenario import Scenario
 from fgplan.simulation.policy import Command
-
-
-class Decides(Protocol):
-    """What `fgplan.driving.Planner` does."""
-
-    def step(self, observation: Observation) -> Decision:
-        """What to do until the next step."""
-        ...
+from fgplan.simulation.world import World
 
 
 class Driver:
@@ -23,14 +18,49 @@ class Driver:
 
     Args:
         planner: Decides.
-        scenario: Whose robot it drives.
+        wheels: Whether the robot has wheels.
     """
 
-    def __init__(self, planner: Decides, scenario: Scenario) -> None:
-        self._planner = planner
-        self._wheels = not isinstance(scenario.robot.model, Holonomic)
+    def __init__(self, planner: Planner, wheels: bool = False) -> None:
+        self.planner = planner
+        self._wheels = wheels
 
     def step(self, observation: Observation) -> Command:
-        decision = self._planner.step(observation)
+        decision = self.planner.step(observation)
         twist = decision.action.twist if self._wheels else None
         return Command(decision.action.velocity, twist, decision.outcome, decision.label, decision)
+
+
+@dataclass(frozen=True)
+class Fgplan:
+    """Makes drivers.
+
+    No deadline by default: a run must not depend on what else the machine does.
+
+    Args:
+        crowd: What people do in the density; None is what the scenario says.
+        count: Global plans at most; None is what the scenario says.
+        density: Parameters of the density to change, by name.
+        settings: Of the planner; period, lag and tolerance are those of the world.
+    """
+
+    crowd: Literal["joint", "predicted"] | None = None
+    count: int | None = None
+    density: dict[str, Any] = field(default_factory=dict)
+    settings: Settings = field(default_factory=lambda: Settings(deadline=None))
+
+    def __call__(self, world: World) -> Driver:
+        scenario = world.scenario
+        if self.crowd is not None:
+            scenario = scenario.replace(crowd=self.crowd)
+        if self.count is not None:
+            scenario = scenario.replace(count=self.count)
+        scenario = scenario.replace(density=replace(scenario.density, **self.density))
+        settings = replace(
+            self.settings,
+            period=world.rules.period,
+            lag=0.0 if np.isinf(world.limits.max_acceleration) else 0.5,
+            # The run ends at the tolerance: nearer, the planner would stop before it.
+            goal_tolerance=0.9 * world.rules.tolerance,
+        )
+        return Driver(Planner(scenario, settings), not isinstance(scenario.robot.model, Holonomic))

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
 
+import numpy as np
+
+from fgplan.driving import Settings
 from fgplan.errors import FgplanError
+from fgplan.simulation.driver import Fgplan
 from fgplan.simulation.layered import Layered
 from fgplan.simulation.peers import OrcaRobot, Straight
 from fgplan.simulation.policy import Policy
@@ -15,7 +20,17 @@ from fgplan.simulation.world import World
 Maker = Callable[[World], Policy]
 """Makes a policy for one run; of a world it may know the scenario, the rules and the limits."""
 
+WHOLE = Settings(deadline=None)
+
 PLANNERS: dict[str, Maker] = {
+    "fgplan": Fgplan(),
+    "fgplan-one-hypothesis": Fgplan(count=1),
+    "fgplan-no-interaction": Fgplan(density={"alpha": 0.0}),
+    "fgplan-no-contact": Fgplan(density={"contact_sigma": np.inf}),
+    "fgplan-predicted": Fgplan(crowd="predicted"),
+    "fgplan-joint": Fgplan(crowd="joint"),
+    "fgplan-no-commitment": Fgplan(settings=replace(WHOLE, commitment=0.0)),
+    "fgplan-no-wait": Fgplan(settings=replace(WHOLE, wait=0.0)),
     "layered": Layered,
     "layered-global": partial(Layered, people_in="global"),
     "orca": OrcaRobot,
