@@ -50,7 +50,7 @@ class _Wired:
         return [X[..., steps, columns] for steps, columns in self.slots]
 
     def steps(self, offset: int) -> slice:
-        return slice(self.first.start + offset, self.first.stop + offset)
+        return _moved(self.first, offset)
 
     def add_gradient(self, part: Array, gradient: Array) -> None:
         for offset, columns, rows in self.runs:
@@ -324,13 +324,14 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _wire(term: Term, columns: dict[str, slice]) -> _Wired:
-    first = slice(term.steps.start, term.steps.stop)
-    slots = tuple(
-        (slice(first.start + offset, first.stop + offset), columns[name])
-        for name, offset in term.variables
-    )
+    first = slice(term.steps.start, term.steps.stop, term.steps.step)
+    slots = tuple((_moved(first, offset), columns[name]) for name, offset in term.variables)
     places = [(offset, columns[name]) for name, offset in term.variables]
     return _Wired(term.residual, slots, first, _runs(places, term.residual.support))
+
+
+def _moved(steps: slice, offset: int) -> slice:
+    return slice(steps.start + offset, steps.stop + offset, steps.step)
 
 
 def _runs(

@@ -107,8 +107,8 @@ def component_of(
     for index, level in enumerate(scenario.levels):
         if f"level {index}" in model.columns:
             levels[level.name] = solving.level(solution, f"level {index}")
-        elif hypothesis.plan is not None:
-            levels[level.name] = hypothesis.plan
+        elif (plan := hypothesis.plan_of(level.name)) is not None:
+            levels[level.name] = plan
     names = solving.belief.names
     inferred = solving.infer(hypothesis.label, optima)
     component = Component(

@@ -64,7 +64,7 @@ def reweigh(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypot
     for index, level in enumerate(scenario.levels):
         data = measuring(scenario, level.name)
         if level.sigma == 0:
-            against += [_on_plan(scenario, data, h) for h in hypotheses]
+            against += [_on_plan(scenario, level, data, h) for h in hypotheses]
         elif data:
             memory = _memory(scenario, index, hypotheses)
             against += 0.0 if memory is None else memory.energy
@@ -182,11 +182,13 @@ def on_level(
     process, readings = _process(level, d), _readings(data)
     stamped = [(r.time - now, r) for r in readings if r.time is not None]
     groups = list(_grouped(process, stamped, d))
-    extra = [p for m in data for p in m.pieces(now, d.times)]
+    extra = [p for m in data for p in m.pieces(now, d.times) if isinstance(p.residual, Linear)]
     found = []
     for i, hypothesis in enumerate(hypotheses):
         mean = _mean(level, hypothesis)
-        free = [(nearest(r, hypothesis.along), r) for r in readings if r.time is None]
+        free = [
+            (nearest(r, hypothesis.along_of(level.name)), r) for r in readings if r.time is None
+        ]
         own = [g for one in free for g in _grouped(process, [one], d)]
         pieces = []
         for k, seen, group in groups + own:
@@ -200,11 +202,22 @@ def on_level(
     return tuple(found)
 
 
-def _on_plan(scenario: Scenario, data: Sequence[Measurement], hypothesis: Hypothesis) -> float:
+def curved_pieces(scenario: Scenario, index: int) -> Iterable[Piece]:
+    """Data on a random level that is not linear, such as a region to keep out of."""
+    for measurement in measuring(scenario, scenario.levels[index].name):
+        for piece in measurement.pieces(scenario.now, scenario.density.times):
+            if not isinstance(piece.residual, Linear):
+                yield piece
+
+
+def _on_plan(
+    scenario: Scenario, level: Level, data: Sequence[Measurement], hypothesis: Hypothesis
+) -> float:
     """−log p(data | η = the plan) [nats]."""
-    assert hypothesis.plan is not None
-    times, states = scenario.density.times, hypothesis.plan.states
-    energy = -log_likelihood(_readings(data), hypothesis.along, scenario.now)
+    plan = hypothesis.plan_of(level.name)
+    assert plan is not None
+    times, states = scenario.density.times, plan.states
+    energy = -log_likelihood(_readings(data), hypothesis.along_of(level.name), scenario.now)
     for measurement in data:
         for piece in measurement.pieces(scenario.now, times):
             steps = piece.steps(len(times) - 1)
@@ -220,10 +233,10 @@ def _passed(
     past = [
         reading
         for reading in _readings(data)
-        if reading.time is None and nearest(reading, hypothesis.along) < 0
+        if reading.time is None and nearest(reading, hypothesis.along_of(level.name)) < 0
     ]
     width = level.sigma**2 if np.isfinite(level.sigma) else level.h
-    return -log_likelihood(past, hypothesis.along, scenario.now, width)
+    return -log_likelihood(past, hypothesis.along_of(level.name), scenario.now, width)
 
 
 def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) -> Memory | None:
@@ -257,12 +270,12 @@ def _state_now(memory: Memory, i: int, mean: Course | None) -> Linear:
 def _process(level: Level, density: Density) -> Process:
     if np.isfinite(level.sigma):
         return Matern(level.sigma, level.length)
-    return WhiteAcceleration(density.Qc_robot)
+    return WhiteAcceleration(density.Qc_robot if level.Qc is None else level.Qc)
 
 
 def _mean(level: Level, hypothesis: Hypothesis) -> Course | None:
     """Mean of a random level: the plan, at all times; None where it has no prior of its own."""
-    return hypothesis.along if np.isfinite(level.sigma) else None
+    return hypothesis.along_of(level.name) if np.isfinite(level.sigma) else None
 
 
 def _readings(data: Iterable[Measurement]) -> list[Reading]:

@@ -51,6 +51,7 @@ class Hypothesis:
         route: The untimed path, shape (N, 2) [m], for pictures; None when no goal is known.
         course: The plan at the times of data that the steps do not cover: before now, beyond the
             horizon. None goes on from both ends of the plan at the velocity there.
+        own: Plans of levels that have hypotheses of their own, by the level's name.
     """
 
     label: str
@@ -60,6 +61,20 @@ class Hypothesis:
     starts: tuple[Start, ...]
     route: Array | None = None
     course: Course | None = None
+    own: Mapping[str, Trajectory] = field(default_factory=dict)
+
+    def plan_of(self, level: str) -> Trajectory | None:
+        """The plan that is the mean of a level."""
+        return self.own.get(level, self.plan)
+
+    def along_of(self, level: str) -> Course:
+        """The same at any time.
+
+        Raises:
+            ValueError: there is no plan.
+        """
+        own = self.own.get(level)
+        return self.along if own is None else own
 
     @property
     def along(self) -> Course:

@@ -61,8 +61,6 @@ class Measurement(Protocol):
     def pieces(self, now: float, times: Array) -> Iterable[Piece]:
         """Further factors, on states (x, y, vx, vy) at the steps of the density; may be empty.
 
-        Those of a level must be linear (`factors.residual.Linear`), those of the robot need not.
-
         Args:
             now: Time of the density's first state, on the clock of the data [s].
             times: t_k from now, shape (T + 1,) [s].

@@ -18,18 +18,20 @@ from numpy.typing import NDArray
 
 from factors.contact import Contact
 from factors.coupling import coupling, coupling_to
+from factors.flat import velocity_of_positions
 from factors.gp_prior import GPPrior, gaussian, matern_first, matern_prior
 from factors.interaction import Interaction
 from factors.obstacle import InterpolatedObstacle, Obstacle
 from factors.pairwise import CrowdPairs, PredictedPairs
 from factors.residual import Residual
 from fgplan import keys
-from fgplan.conditioning import LevelData, on_level, robot_pieces
+from fgplan.conditioning import LevelData, curved_pieces, on_level, robot_pieces
 from fgplan.crowd import Belief, heading
 from fgplan.gating import Gate, gate
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.robots import Piece
 from fgplan.scenario import Density, Level, Scenario
+from fgplan.stack import links, name_of
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -212,6 +214,8 @@ def build(
     robot = Variable("robot", vehicle.dim, keys.robot)
     crowd = (Variable("crowd", 4 * planned.count, keys.crowd),) if planned.count else ()
     shared = tuple(_shared_terms(scenario, planned, held, gate_))
+    if all(h.plan is not None for h in hypotheses):
+        shared += tuple(_curved_data(scenario))
     fixed = {}
     if scenario.robot.covariance is None:
         fixed["robot", 0] = now
@@ -225,7 +229,7 @@ def build(
     for i, hypothesis in enumerate(hypotheses):
         levels = _level_variables(scenario.levels, hypothesis)
         variables = (*levels.values(), robot, *crowd)
-        parts = [hypothesis.plan.states for _ in levels if hypothesis.plan is not None]
+        parts = [_states(hypothesis, scenario.levels[index]) for index in levels]
         parts.append(lift(hypothesis.starts[0].robot))
         if planned.count:
             parts.append(_expected_crowd(planned, scenario.density.times))
@@ -262,6 +266,14 @@ def _shared_terms(scenario: Scenario, planned: Belief, held: Belief, gate_: Gate
         yield from _held_people(scenario, held)
     yield from _obstacles(scenario)
     yield from _limits(scenario)
+
+
+def _curved_data(scenario: Scenario) -> Iterable[Term]:
+    """p(data_l | η_l) of random levels, as far as it is not linear; no hypothesis changes it."""
+    for index, level in enumerate(scenario.levels):
+        if level.sigma > 0:
+            pieces = curved_pieces(scenario, index)
+            yield from _along(pieces, scenario.density.steps, f"level {index}")
 
 
 def _robot_prior(scenario: Scenario) -> Iterable[Term]:
@@ -381,41 +393,68 @@ def _hypothesis_terms(
     """Π_l p(η_l | i) p(data_l | η_l) and Π_l ψ(η_l, η_{l+1}), the last with f^R."""
     if hypothesis.plan is None:
         return
-    d, mean, T = scenario.density, hypothesis.plan.states, scenario.density.steps
+    d, T = scenario.density, scenario.density.steps
     for index, variable in variables.items():
         level, name = scenario.levels[index], variable.name
         pair, known = ((name, 0), (name, 1)), data[index].now
-        if np.isfinite(level.sigma):
-            prior = matern_prior(mean, d.dt, level.sigma, level.length)
-            first = matern_first(mean[0], level.sigma, level.length) if known is None else known
-            yield Term(f"{level.name} now", first, ((name, 0),), range(1))
-            yield Term(f"{level.name} prior", prior, pair, range(T))
-        else:
-            smooth = GPPrior(d.dt, d.Qc_robot * np.eye(2))
-            if known is not None:
-                yield Term(f"{level.name} now", known, ((name, 0),), range(1))
-            yield Term(f"{level.name} prior", smooth, pair, range(T))
+        if known is not None:
+            yield Term(f"{level.name} now", known, ((name, 0),), range(1))
+        yield from _level_prior(level, _states(hypothesis, level), d, pair, known is None)
         yield from _along(data[index].pieces, T, name)
-    steps = range(T + 1)
-    for index, level in enumerate(scenario.levels):
-        below = _below(index, scenario.levels, variables)
-        if below is None:
-            continue
-        label = f"{level.name} coupling"
-        size = scenario.robot.model.dim if below == "robot" else 4
-        if index in variables:
-            psi = coupling(level.h, (4, size), weight=d.exponent)
-            yield Term(label, psi, ((variables[index].name, 0), (below, 0)), steps)
-        else:
-            psi = coupling_to(mean[:, :2], level.h, size, weight=d.exponent)
-            yield Term(label, psi, ((below, 0),), steps)
+    yield from _couplings(scenario, hypothesis, variables)
 
 
-def _below(index: int, levels: Sequence[Level], variables: dict[int, Variable]) -> str | None:
-    """Name of the variable next below a level; None where that level is fixed too."""
-    if index == len(levels) - 1:
-        return "robot"
-    return variables[index + 1].name if index + 1 in variables else None
+def _level_prior(
+    level: Level, mean: Array, d: Density, pair: tuple[tuple[str, int], ...], first: bool
+) -> Iterable[Term]:
+    """p(η_l | i): around its plan, smooth, or flat; `first` asks for the prior of its state now."""
+    T, Qc = d.steps, (d.Qc_robot if level.Qc is None else level.Qc) * np.eye(2)
+    label = f"{level.name} prior"
+    if np.isfinite(level.sigma):
+        if first:
+            now = matern_first(mean[0], level.sigma, level.length)
+            yield Term(f"{level.name} now", now, pair[:1], range(1))
+        yield Term(label, matern_prior(mean, d.dt, level.sigma, level.length), pair, range(T))
+    elif level.Qc is not None:
+        yield Term(label, GPPrior(d.dt, Qc), pair, range(T))
+    else:
+        yield Term(label, velocity_of_positions(d.dt, Qc), pair, range(T))
+        last = velocity_of_positions(d.dt, Qc, last=True)
+        yield Term(f"{level.name} last prior", last, pair, range(T - 1, T))
+
+
+def _couplings(
+    scenario: Scenario, hypothesis: Hypothesis, variables: dict[int, Variable]
+) -> Iterable[Term]:
+    """ψ for every link of the stack; a side without width is its plan. Two fixed sides are a
+    constant, which is part of the hypothesis's weight (`fgplan.products`)."""
+    d, levels = scenario.density, scenario.levels
+    for link in links(levels):
+        above = variables.get(link.above)
+        below = None if link.below is None else variables.get(link.below)
+        size = scenario.robot.model.dim if link.below is None else 4
+        steps = range(0, d.steps + 1, link.every)
+        weight, chosen = link.every * d.exponent, slice(None, None, link.every)
+        label = f"{levels[link.above].name} coupling"
+        if sum(other.above == link.above for other in links(levels)) > 1:
+            label = f"{levels[link.above].name} to {name_of(levels, link.below)} coupling"
+        free = "robot" if link.below is None else None if below is None else below.name
+        if above is not None and free is not None:
+            psi = coupling(link.h, (4, size), weight=weight)
+            yield Term(label, psi, ((above.name, 0), (free, 0)), steps)
+        elif free is not None:
+            path = _states(hypothesis, levels[link.above])[chosen, :2]
+            yield Term(label, coupling_to(path, link.h, size, weight=weight), ((free, 0),), steps)
+        elif above is not None and link.below is not None:
+            path = _states(hypothesis, levels[link.below])[chosen, :2]
+            psi = coupling_to(path, link.h, 4, weight=weight)
+            yield Term(label, psi, ((above.name, 0),), steps)
+
+
+def _states(hypothesis: Hypothesis, level: Level) -> Array:
+    plan = hypothesis.plan_of(level.name)
+    assert plan is not None
+    return plan.states
 
 
 def _expected_crowd(belief: Belief, times: Array) -> Array:

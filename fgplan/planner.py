@@ -23,15 +23,20 @@ from fgplan.inference.laplace import Laplace
 from fgplan.inference.map import MAP
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
+from fgplan.products import crossed
 from fgplan.safety import People, brake
 from fgplan.scenario import Scenario
-from fgplan.search import search, shifted
+from fgplan.search import search, shifted, worth_solving
 from fgplan.shared_control import operated
 from fgplan.solver import SecondOrder, Solver
 from fgplan.trajectory import Trajectory
 from fgplan.validation import validate
 
 Array = NDArray[np.float64]
+
+NEGLIGIBLE = 30.0
+"""Combinations of levels that are surely this much less probable than the best are left out [nats]:
+exp(−30) is 1e-13."""
 
 RESERVE = 0.2
 """Share of a deadline that is kept for checking and weighing what was found."""
@@ -85,10 +90,16 @@ def plan(
     d = scenario.density
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
-    proposed = reweigh(scenario, hypotheses(scenario, belief))
+    stated = tuple(hypotheses(scenario, belief))
+    proposed = reweigh(scenario, crossed(scenario, stated))
     ready = perf_counter()
 
     assembly = Assembly(build(scenario, belief, proposed, factors))
+    every = len(proposed)
+    if every > len(stated):  # a product of levels
+        kept = worth_solving(assembly, proposed, solver, NEGLIGIBLE)
+        proposed = tuple(proposed[i] for i in kept)
+        assembly = Assembly([assembly.models[i] for i in kept])
     before = shifted(warm, scenario, scenario.now - warm.now) if warm is not None else ()
     end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
@@ -121,6 +132,9 @@ def plan(
     mixture = _decide(scenario, belief, merged, select, timing)
     notes = [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
     notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
+    if every > len(proposed):
+        bound = f"their bounds are over {NEGLIGIBLE:g} nats below the best"
+        notes.append(f"{every - len(proposed)} of {every} combinations left out: {bound}")
     return replace(mixture, warnings=(*sorted(notes), *mixture.warnings))
 
 

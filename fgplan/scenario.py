@@ -108,22 +108,35 @@ class GivenPlan:
 
 @dataclass(frozen=True)
 class Level:
-    """One planning level η_l of the stack, from the mission (first) to the next above the robot.
+    """One planning level η_l of the stack, from the mission (first) to those next to the robot.
 
     Args:
         name: For tables and pictures.
         sigma: Standard deviation of η_l around its mean [m]: the width of the corridor it may
-            use. 0 is the paper's δ: the level is then the fixed path and not a variable. Level 0
-            has the global plan as its mean; a lower level follows the level above and takes
-            `inf`, which means no prior of its own.
+            use. 0 is the paper's δ: the level is then the fixed path and not a variable. Its mean
+            is the global plan, or the level's own. `inf`, from the second level on, is no prior
+            of its own: it follows the level above.
         length: Correlation time of that deviation [s].
-        h: Variance of the coupling to the next level down, or to the robot [m²].
+        h: Variance of its coupling to each level that follows it, or to the robot [m²].
+        Qc: Power spectral density of its acceleration where sigma is `inf` [m²/s³]: it is smooth;
+            None: it is flat, nothing is said of it but by couplings and data.
+        follows: Name of the level that guides it; None: the one before it. A level that several
+            follow makes the stack a tree; levels that nobody follows guide the robot.
+        every: Its time resolution: it meets the levels beside it at every so many-th step of the
+            density, with the exponent of that many steps. In between it is its own process, which
+            integrates out exactly.
+        plans: Its own discrete hypotheses beside those of the first level: the mean is one of
+            these plans. All combinations over the levels compete.
     """
 
     name: str = "mission"
     sigma: float = 0.0
     length: float = 4.0
     h: float = 1.0
+    Qc: float | None = None
+    follows: str | None = None
+    every: int = 1
+    plans: tuple[GivenPlan, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -142,6 +142,10 @@ class _Level(_Table):
     sigma: Number = 0.0
     length: Number = 0.0
     h: Number = 0.0
+    Qc: Number | None = None
+    follows: Text | None = None
+    every: Whole = 1
+    plans: list[_Given] = []
 
 
 class _Datum(_Table):
@@ -195,6 +199,9 @@ MOST_CELLS = 40_000_000
 
 _ROWS = {"track": (1, 3), "path": (1, 2), "polygon": (1, 2), "polygons": (2, 2)}
 """Lists of rows: how deep the rows are, and how long."""
+
+_TABLES = {"people", "given", "levels", "data", "regions", "facts", "plans"}
+"""Lists of tables: one that cannot be read becomes an empty one."""
 
 _UNREADABLE: dict[str, Any] = {
     "position": [np.nan, np.nan],
@@ -346,6 +353,8 @@ def _repair(tables: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> No
         owner = owner[part]
     depth, width = _ROWS.get(key, (0, 0))
     if depth and len(loc) > last + depth:
+        if key not in owner:  # another mistake took it out in this round
+            return
         rows = owner[key]
         for part in loc[last + 1 : last + depth]:
             rows = rows[part]
@@ -353,7 +362,10 @@ def _repair(tables: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> No
     elif kind == "missing" and len(loc) == last + 1:
         # A name no other has.
         owner[key] = copy.deepcopy(_UNREADABLE.get(key, f"unnamed {_spell(loc)}"))
-    elif key in ("people", "given", "levels", "data", "regions", "facts") and len(loc) > last + 1:
+    elif (
+        key in ("people", "given", "levels", "data", "regions", "facts", "plans")
+        and len(loc) > last + 1
+    ):
         owner[key][loc[last + 1]] = {}
     else:
         owner.pop(key, None)
@@ -473,7 +485,7 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
     elif table.goal is None and table.mission is None:
         optional["count"] = 0
     if table.levels is not None:
-        optional["levels"] = tuple(Level(**level.stated()) for level in table.levels)
+        optional["levels"] = tuple(map(_level, table.levels))
     if table.name is not None:
         optional["name"] = table.name
     view = table.field_of_view
@@ -484,7 +496,7 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
         tracks=tuple(_track(person) for person in table.people),
         now=table.crowd.now,
         field_of_view=None if view is None else FieldOfView(**view.stated()),
-        plans=tuple(GivenPlan(g.label, _array(g.path), g.weight) for g in table.plans.given),
+        plans=tuple(map(_plan, table.plans.given)),
         crowd=table.crowd.mode,  # type: ignore[arg-type]  # find_mistakes checks the word
         pairs=table.crowd.pairs,  # type: ignore[arg-type]
         density=Density(**table.density.stated()),
@@ -518,6 +530,17 @@ def _mission(table: _Mission | None) -> tuple[Mission | None, list[Mistake]]:
         return Mission(table.formula, facts), []
     except MissionError as error:
         return None, [Mistake("mission.formula", table.formula, str(error))]
+
+
+def _plan(given: _Given) -> GivenPlan:
+    return GivenPlan(given.label, _array(given.path), given.weight)
+
+
+def _level(table: _Level) -> Level:
+    stated = table.stated()
+    if "plans" in stated:
+        stated["plans"] = tuple(map(_plan, table.plans))
+    return Level(**stated)
 
 
 def _track(person: _Person) -> Track:

@@ -19,6 +19,9 @@ from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
+AT_ONCE = 8
+"""Hypotheses solved together when many are bounded."""
+
 
 @dataclass(frozen=True, eq=False)
 class Found:
@@ -90,6 +93,38 @@ def search(
             best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in found)
             dropped = {i for i in indices if hypotheses[i].log_prior - _bound(assembly, i) < best}
     return Search(tuple(found), frozenset(dropped), _unended(found))
+
+
+def worth_solving(
+    assembly: Assembly, hypotheses: Sequence[Hypothesis], solver: Solver, margin: float
+) -> list[int]:
+    """Branch and bound over many hypotheses: those that a bound does not exclude, in their order.
+
+    No optimum of hypothesis i scores above log w_i − bound_i. The most promising are solved from
+    their first start, best bound first; who cannot come within `margin` of the best score so far
+    has less than exp(−margin) of its probability by height, and is left out.
+
+    Args:
+        assembly: The density, one model per hypothesis.
+        hypotheses: With their starts.
+        solver: How a start is solved.
+        margin: [nats].
+    """
+    reach = [h.log_prior - _bound(assembly, i) for i, h in enumerate(hypotheses)]
+    order = sorted(range(len(hypotheses)), key=lambda i: -reach[i])
+    best = -np.inf
+    for at in range(0, len(order), AT_ONCE):
+        some = [i for i in order[at : at + AT_ONCE] if reach[i] >= best]
+        if not some:
+            break
+        starts = [
+            (i, hypotheses[i].starts[0].label, assembly.models[i].initial(hypotheses[i].starts[0]))
+            for i in some
+        ]
+        for f in _solve(assembly, solver, starts):
+            score = hypotheses[f.which].log_prior - _score(assembly, f)
+            best = max(best, score if np.isfinite(score) else -np.inf)
+    return [i for i in range(len(hypotheses)) if reach[i] >= best - margin]
 
 
 def shifted(previous: Mixture, scenario: Scenario, now: float) -> tuple[Start, ...]:

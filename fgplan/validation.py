@@ -20,6 +20,7 @@ from fgplan.measuring import ROBOT, Measurement, Reading
 from fgplan.mission.parser import KEYWORDS
 from fgplan.robots import RobotModel
 from fgplan.scenario import FieldOfView, GivenPlan, Level, Scenario, Track
+from fgplan.stack import loose
 
 Array = NDArray[np.float64]
 
@@ -308,6 +309,7 @@ def _occlusion(view: FieldOfView) -> Iterable[Mistake]:
 def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
     if not levels:
         yield Mistake("levels", [], "give at least one level")
+    wrong: list[Mistake] = []
     for i, level in enumerate(levels):
         yield from _numbers(f"levels[{i}]", level, _LEVEL)
         if _NOT_NEGATIVE.allows(level.sigma) and 0 < level.sigma < NARROWEST:
@@ -315,10 +317,16 @@ def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
             yield Mistake(f"levels[{i}].sigma", level.sigma, mend)
         if level.name == ROBOT:
             yield Mistake(f"levels[{i}].name", ROBOT, "is the robot itself; give another name")
+        wrong += list(_place_in_stack(f"levels[{i}]", level, levels[:i]))
     if levels and levels[0].sigma == np.inf:
         mend = "give a finite number: nothing else says where the first level is"
-        yield Mistake("levels[0].sigma", levels[0].sigma, mend)
+        wrong.append(Mistake("levels[0].sigma", levels[0].sigma, mend))
+    yield from wrong
     yield from _distinct([level.name for level in levels], "levels[{}].name")
+    if not wrong:
+        mend = "is flat, and at some steps meets no level that is not; give it a Qc"
+        for i in loose(levels):
+            yield Mistake(f"levels[{i}]", levels[i].name, mend)
 
 
 def _regions(scenario: Scenario) -> Iterable[Mistake]:
@@ -345,6 +353,32 @@ def _mission(scenario: Scenario) -> Iterable[Mistake]:
         mission.check_names(names)
     except MissionError as error:
         yield Mistake("mission.formula", mission.text, str(error))
+
+
+def _place_in_stack(path: str, level: Level, before: Sequence[Level]) -> Iterable[Mistake]:
+    """How a level stands to the others."""
+    if level.Qc is not None and not _POSITIVE.allows(level.Qc):
+        yield Mistake(f"{path}.Qc", _plain(level.Qc), _POSITIVE.mend)
+    names = [other.name for other in before]
+    if level.follows is not None and level.follows not in names:
+        known = ", ".join(map(repr, names)) or "none: it is the first"
+        yield Mistake(f"{path}.follows", level.follows, f"give a level before it: {known}")
+    every = level.every
+    if isinstance(every, bool) or not isinstance(every, int | np.integer) or every < 1:
+        yield Mistake(f"{path}.every", _plain(every), "give a whole number of steps, 1 or more")
+    elif every > 1 and level.sigma == np.inf and level.Qc is None:
+        mend = "a flat level has no process between its steps; give it a Qc, or a finite sigma"
+        yield Mistake(f"{path}.every", every, mend)
+    if level.plans and not before:
+        yield Mistake(f"{path}.plans", len(level.plans), "give the first level's as plans.given")
+    elif level.plans and level.sigma == np.inf:
+        mend = "says that nothing is its mean; give a finite number, or no plans"
+        yield Mistake(f"{path}.sigma", level.sigma, mend)
+    for j, plan in enumerate(level.plans):
+        yield from _given(f"{path}.plans[{j}]", plan)
+    yield from _distinct([plan.label for plan in level.plans], path + ".plans[{}].label")
+    if level.plans and all(plan.weight == 0 for plan in level.plans):
+        yield Mistake(f"{path}.plans", 0.0, "give at least one plan a weight above 0")
 
 
 def find_data_mistakes(path: str, data: Measurement, levels: Sequence[str]) -> Iterable[Mistake]:

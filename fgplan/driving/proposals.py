@@ -12,6 +12,7 @@ from fgplan.driving.pricing import Blockage, Pricing, congestion, delay
 from fgplan.driving.routing import Way
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
+from fgplan.products import SEPARATOR
 from fgplan.scenario import Scenario
 from fgplan.starts import starts
 from fgplan.timing import along, speed_along, timed, waiting_law
@@ -102,8 +103,9 @@ def propose(
 
 
 def route(label: str) -> str:
-    """The route a hypothesis is on: waiting on a route does not leave it."""
-    return label.removesuffix(WAITING)
+    """The route a hypothesis is on: waiting on a route does not leave it, nor does what a level
+    below does on it."""
+    return label.partition(SEPARATOR)[0].removesuffix(WAITING)
 
 
 def _pushing_on(
