@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from factors.hinge import TINY, hinge_scale
-from factors.pairwise import PairPotential, Radial
+from factors.hinge import TINY, Hinge, hinge_scale
+from factors.pairwise import PairPotential
+from factors.radial import Radial
 from factors.residual import Array
 
 
@@ -38,24 +39,16 @@ class Contact(PairPotential):
         hinge_scale(self.sigma, self.weight)
 
     @cached_property
-    def _scale(self) -> float:
-        return hinge_scale(self.sigma, self.weight)
+    def _hinge(self) -> Hinge:
+        return Hinge(self.reach, hinge_scale(self.sigma, self.weight), "below")
 
     def energy(self, d2: Array) -> Array:
-        e, _ = self._hinge(d2)
-        return 0.5 * e**2
+        return self._hinge.energy_of(d2)
 
     def linearize(self, d2: Array) -> tuple[Array, Array]:
-        e, d = self._hinge(d2)
-        return e, np.where(e > 0, -self._scale / d, 0.0)
+        d = np.sqrt(d2 + TINY**2)
+        e = self._hinge.error(d)
+        return e, np.where(e > 0, -self._hinge.scale / d, 0.0)
 
     def expand(self, d2: Array) -> Radial:
-        e, d = self._hinge(d2)
-        slope = -self._scale * e / d
-        second = np.where(e > 0, self._scale**2, 0.0)
-        return Radial(0.5 * e**2, slope, slope, (second - slope) / d**2)
-
-    def _hinge(self, d2: Array) -> tuple[Array, Array]:
-        """The whitened hinge and the distance, smoothed at coincidence."""
-        d = np.sqrt(d2 + TINY**2)
-        return self._scale * np.maximum(self.reach - d, 0.0), d
+        return self._hinge.radial(d2)

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from factors.radial import Radial
 from factors.residual import Array, Expansion
 
 # Smooths the norm at the origin [m, or m/s]. A micrometre keeps every number finite where two
@@ -54,6 +55,21 @@ class Hinge:
         curvature = (self._slope * self.error(d))[..., None, None] * hessian
         return flat._replace(hessian=flat.hessian + curvature)
 
+    def energy_of(self, d2: Array) -> Array:
+        """½e² of a length √(d2 + TINY²), shape (...)."""
+        e = self.error(np.sqrt(d2 + TINY**2))
+        return np.asarray(0.5 * e * e)
+
+    def radial(self, d2: Array) -> Radial:
+        """½e² of a length d = √(d2 + TINY²), with its true curvature, as an energy of d2 (...)."""
+        d2 = d2 + TINY**2
+        d = np.sqrt(d2)
+        excess = self._slope * (d - self.threshold)
+        e = np.maximum(excess, 0.0)
+        slope = e * self._slope / d
+        second = np.where(excess >= 0, self.scale**2, 0.0)
+        return Radial(0.5 * e * e, slope, slope, (second - slope) / d2)
+
     @property
     def _slope(self) -> float:
         return self.scale if self.side == "above" else -self.scale
@@ -82,10 +98,3 @@ def linearize_norm(v: Array) -> tuple[Array, Array]:
     """`norm` and its gradient v/‖v‖, shape (..., m); zero at v = 0."""
     length = norm(v)
     return length, v / length[..., None]
-
-
-def expand_norm(v: Array) -> tuple[Array, Array, Array]:
-    """`norm`, its gradient u = v/‖v‖ and its Hessian (I − u uᵀ)/‖v‖, shape (..., m, m)."""
-    length, u = linearize_norm(v)
-    hessian = (np.eye(v.shape[-1]) - u[..., :, None] * u[..., None, :]) / length[..., None, None]
-    return length, u, hessian

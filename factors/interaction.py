@@ -8,7 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from factors.pairwise import PairPotential, Radial
+from factors.pairwise import PairPotential
+from factors.radial import Radial
 from factors.residual import Array
 
 
@@ -57,6 +58,14 @@ class Interaction(PairPotential):
     def _s2(self) -> Array:
         return np.asarray(self.h_c**2 + self.variance)
 
+    @cached_property
+    def _exponent(self) -> Array:
+        return -0.5 / self._s2
+
+    @cached_property
+    def _slope_scale(self) -> Array:
+        return -self.weight / self._s2
+
     def energy(self, d2: Array) -> Array:
         u = self._presence(d2)
         with np.errstate(divide="ignore"):  # alpha = 1 at contact: energy inf, as it should be
@@ -77,14 +86,14 @@ class Interaction(PairPotential):
     def expand(self, d2: Array) -> Radial:
         u = self._presence(d2)
         rest = np.maximum(1 - u, _TINY)
-        ratio = (self.weight / self._s2) * (u / rest)
+        slope = (u / rest) * self._slope_scale
         with np.errstate(divide="ignore"):
             energy = -self.weight * np.log1p(-u)
-        return Radial(energy, -ratio, -ratio, ratio / (rest * self._s2))
+        return Radial(energy, slope, slope, slope / (rest * -self._s2))
 
     def _presence(self, d2: Array) -> Array:
         """u = alpha exp(−d²/(2 s²)), between 0 and alpha."""
-        return np.asarray(self.alpha * np.exp((-0.5 / self._s2) * d2))
+        return np.asarray(self.alpha * np.exp(self._exponent * d2))
 
 
 _TINY = 1e-16

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.hinge import Hinge, expand_norm, hinge_scale, linearize_norm, norm
+from factors.hinge import Hinge, hinge_scale, linearize_norm, norm
+from factors.radial import components, square
 from factors.residual import Array, Expansion, Residual
 
 AT_REST = 1e-3
@@ -64,7 +65,11 @@ class SpeedLimit(Residual):
         return e[..., None], (J,)
 
     def expand(self, *x: Array) -> Expansion:
-        return self._hinge.expand(*expand_norm(self._velocity(x[0])))
+        v = components(self._velocity(x[0]))
+        return self._hinge.radial(square(v)).of(v)
+
+    def energy(self, *x: Array) -> Array:
+        return self._hinge.energy_of(square(components(self._velocity(x[0]))))
 
     def _velocity(self, state: Array) -> Array:
         return state[..., self.dim // 2 :]
@@ -126,12 +131,16 @@ class AccelerationLimit(Residual):
         return e[..., None], (-J, J)
 
     def expand(self, *x: Array) -> Expansion:
-        energy, slope, H = self._hinge.expand(*expand_norm(self._change(*x)))
+        change = components(self._change(*x))
+        energy, slope, H = self._hinge.radial(square(change)).of(change)
         m = self.dim // 2
         hessian = np.empty((*energy.shape, 2 * m, 2 * m))
         hessian[..., :m, :m] = hessian[..., m:, m:] = H
         hessian[..., :m, m:] = hessian[..., m:, :m] = -H
         return Expansion(energy, np.concatenate([-slope, slope], axis=-1), hessian)
+
+    def energy(self, *x: Array) -> Array:
+        return self._hinge.energy_of(square(components(self._change(*x))))
 
     def _change(self, before: Array, after: Array) -> Array:
         m = self.dim // 2

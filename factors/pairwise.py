@@ -1,30 +1,22 @@
 """Potentials between pairs of bodies: all pairs of a time step, and all time steps, in one call.
 
-A potential is a function of the squared distance of two bodies, so its gradient is a·Δ and its
-Hessian a·I + b·ΔΔᵀ with Δ = p_i − p_j: three numbers a pair. A wiring says which bodies are
-variables. `interaction.py` and `contact.py` hold the potentials.
+A potential is a function of the squared distance of two bodies Δ = p_i − p_j, so three numbers a
+pair make its expansion (`radial.py`). A wiring says which bodies are variables. `interaction.py`
+and `contact.py` hold the potentials.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import ClassVar, Literal, NamedTuple, Self
+from functools import cached_property, reduce
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.radial import Radial, square
 from factors.residual import Array, Expansion, Residual
-
-
-class Radial(NamedTuple):
-    """Expansion of pair energies: energy, gradient slope·Δ, Hessian a·I + b·ΔΔᵀ; all (..., P)."""
-
-    energy: Array
-    slope: Array
-    a: Array | float
-    b: Array
 
 
 class PairPotential(ABC):
@@ -50,6 +42,32 @@ class PairPotential(ABC):
     def at(self, step: int) -> Self:
         """This potential with the parameters of one time step."""
         return self
+
+
+@dataclass(frozen=True)
+class Together(PairPotential):
+    """Several potentials of the same pairs, so that their distances are computed once.
+
+    It is for solvers that ask for expansions; the error of a sum of energies is no single number
+    with a slope, so GTSAM sees one factor a potential.
+
+    Args:
+        potentials: At least one.
+    """
+
+    potentials: tuple[PairPotential, ...]
+
+    def energy(self, d2: Array) -> Array:
+        return reduce(np.add, [potential.energy(d2) for potential in self.potentials])
+
+    def linearize(self, d2: Array) -> tuple[Array, Array]:
+        raise TypeError("linearize the potentials one by one: their sum is no square")
+
+    def expand(self, d2: Array) -> Radial:
+        return reduce(Radial.plus, [potential.expand(d2) for potential in self.potentials])
+
+    def gauss_newton(self, d2: Array) -> Radial:
+        return reduce(Radial.plus, [potential.gauss_newton(d2) for potential in self.potentials])
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +131,11 @@ class CrowdPairs(Residual):
         return apart
 
     def energy(self, *x: Array) -> Array:
-        return np.asarray(self.potential.energy(_square(self._separations(*x))).sum(-1))
+        return np.asarray(self.potential.energy(square(self._separations(*x))).sum(-1))
 
     def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
         delta = self._separations(*x)
-        e, c = self.potential.linearize(_square(delta))
+        e, c = self.potential.linearize(square(delta))
         slope = np.stack([c * d for d in delta], axis=-1)
         J = self._incidence[:, :, None] * slope[..., :, None, :]
         J_robot = np.zeros((*e.shape, self.dims[0]))
@@ -128,11 +146,11 @@ class CrowdPairs(Residual):
 
     def expand(self, *x: Array) -> Expansion:
         delta = self._separations(*x)
-        return self._gather(delta, self.potential.expand(_square(delta)))
+        return self._gather(delta, self.potential.expand(square(delta)))
 
     def gauss_newton(self, *x: Array) -> Expansion:
         delta = self._separations(*x)
-        return self._gather(delta, self.potential.gauss_newton(_square(delta)))
+        return self._gather(delta, self.potential.gauss_newton(square(delta)))
 
     def _gather(self, delta: list[Array], pair: Radial) -> Expansion:
         """Pairs (..., P) as one expansion of all bodies."""
@@ -207,11 +225,11 @@ class PredictedPairs(Residual):
         return [robot[..., c, None] - people for c, people in enumerate(self._coordinates)]
 
     def energy(self, *x: Array) -> Array:
-        return np.asarray(self.potential.energy(_square(self._separations(*x))).sum(-1))
+        return np.asarray(self.potential.energy(square(self._separations(*x))).sum(-1))
 
     def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
         delta = self._separations(*x)
-        e, c = self.potential.linearize(_square(delta))
+        e, c = self.potential.linearize(square(delta))
         J = np.zeros((*e.shape, self.robot_dim))
         for r, d in enumerate(delta):
             J[..., r] = c * d
@@ -219,23 +237,25 @@ class PredictedPairs(Residual):
 
     def expand(self, *x: Array) -> Expansion:
         delta = self._separations(*x)
-        return self._total(delta, self.potential.expand(_square(delta)))
+        return self._total(delta, self.potential.expand(square(delta)))
 
     def gauss_newton(self, *x: Array) -> Expansion:
         delta = self._separations(*x)
-        return self._total(delta, self.potential.gauss_newton(_square(delta)))
+        return self._total(delta, self.potential.gauss_newton(square(delta)))
 
     def _total(self, delta: list[Array], pair: Radial) -> Expansion:
         """The sum over people, as an expansion in the robot's position."""
-        batch, d = pair.energy.shape[:-1], self._space
-        gradient, H = np.empty((*batch, d)), np.empty((*batch, d, d))
+        shape, d, people = pair.energy.shape[:-1], self._space, np.ones(self.rows)
+        gradient, H = np.empty((*shape, d)), np.empty((*shape, d, d))
         for r in range(d):
-            gradient[..., r] = np.einsum("...p,...p->...", pair.slope, delta[r])
+            gradient[..., r] = (pair.slope * delta[r]) @ people
             weighted = pair.b * delta[r]
-            for c in range(r + 1):
-                H[..., r, c] = H[..., c, r] = np.einsum("...p,...p->...", weighted, delta[c])
-            H[..., r, r] += pair.a.sum(-1) if isinstance(pair.a, np.ndarray) else 0.0
-        return Expansion(pair.energy.sum(-1), gradient, H)
+            for c in range(r):
+                H[..., r, c] = H[..., c, r] = (weighted * delta[c]) @ people
+            weighted *= delta[r]
+            weighted += pair.a
+            H[..., r, r] = weighted @ people
+        return Expansion(pair.energy @ people, gradient, H)
 
 
 def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -246,10 +266,3 @@ def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp]
         return np.zeros(n, dtype=np.intp), np.arange(1, n + 1)
     i, j = np.triu_indices(n + 1, k=1)
     return i, j
-
-
-def _square(delta: list[Array]) -> Array:
-    total = delta[0] ** 2
-    for d in delta[1:]:
-        total += d**2
-    return total

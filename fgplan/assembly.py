@@ -8,18 +8,20 @@ steps in one call a term, and its curvature is kept in small blocks until a syst
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from factors.pairwise import PredictedPairs, Together
 from factors.residual import Expansion, Linear, Residual
 from factors.unicycle import UnicycleMotion
 from fgplan import keys
-from fgplan.block_tridiagonal import System
+from fgplan.block_tridiagonal import BAND_LIMIT, Chains, System, solve_each
 from fgplan.model import Model, Term
 from fgplan.shear import Shear
 
@@ -37,7 +39,8 @@ class _Wired:
 
     `runs` are contiguous runs of the residual's support: (offset in time, slice of the state,
     slice of the expansion). A term that reaches further than the next time step is no part of
-    the chain: its curvature is kept apart, on the places `far` of the flattened state.
+    the chain: its curvature is kept apart, on the places `far` of the flattened state. `held` are
+    (which of the steps, mask (s, s)) where some of the support is known without error.
     """
 
     residual: Residual
@@ -45,6 +48,7 @@ class _Wired:
     first: slice
     runs: tuple[tuple[int, slice, slice], ...]
     far: Index | None = None
+    held: tuple[tuple[int, NDArray[np.bool_]], ...] = ()
 
     def variables(self, X: Array) -> list[Array]:
         return [X[..., steps, columns] for steps, columns in self.slots]
@@ -65,6 +69,20 @@ class _Wired:
                     diagonal[..., self.steps(at_row), into_rows, into_columns] += block
                 elif at_row < at_column:
                     upper[..., self.steps(at_row), into_rows, into_columns] += block
+
+    def add_lower(self, part: Array, chains: Chains) -> None:
+        """The same, of the diagonal blocks only what is on and below the diagonal."""
+        for at_row, into_rows, rows in self.runs:
+            for at_column, into_columns, columns in self.runs:
+                if at_row > at_column:
+                    continue
+                block = part[..., rows, columns]
+                if at_row < at_column:
+                    chains.upper[:, self.steps(at_row), into_rows, into_columns] += block
+                elif into_rows.start >= into_columns.start:
+                    if into_rows == into_columns:
+                        block = np.where(_lower(block.shape[-1]), block, 0.0)
+                    chains.diagonal[:, self.steps(at_row), into_rows, into_columns] += block
 
 
 class Quadratic:
@@ -89,20 +107,21 @@ class Quadratic:
             part = expand(wired.residual, wired.variables(X))
             self.energy += part.energy.sum(-1)
             wired.add_gradient(part.gradient, self.gradient)
+            for at, mask in wired.held:
+                part.hessian[:, at] = np.where(mask, part.hessian[:, at], 0.0)  # not inf·0
             if wired.far is None:
                 self._parts.append((wired, part.hessian))
             else:
-                free = assembly.free.reshape(-1)[wired.far]
-                self._far.append((wired.far, part.hessian[:, 0] * np.outer(free, free)))
-        self.gradient[:, ~assembly.free] = 0.0
+                self._far.append((wired.far, part.hessian[:, 0]))
+        for k, held in assembly.held:
+            self.gradient[:, k, held] = 0.0
 
     def hessian(self, rows: Index) -> tuple[Array, Array]:
         """Blocks (k, k), shape (R, S, D, D), and (k, k + 1), shape (R, S − 1, D, D), of some of
         the B Hessians."""
-        diagonal, upper = self._assembly.linear_hessian(self._which[rows])
+        diagonal, upper = self._assembly.held_hessian(self._which[rows])
         for wired, part in self._parts:
             wired.add_hessian(part[rows], diagonal, upper)
-        self._assembly.hold_fixed(diagonal, upper)
         return diagonal, upper
 
     @cached_property
@@ -115,11 +134,31 @@ class Quadratic:
         """Blocks (k, k + 1) of all B Hessians, shape (B, S − 1, D, D)."""
         return self.hessian(np.arange(len(self.energy)))[1]
 
+    def newton(self, rows: Index) -> tuple[Array, NDArray[np.bool_]]:
+        """Steps −H⁻¹ g of some of the B expansions, shape (R, S, D), zero where H is not positive
+        definite, and where it is (R,)."""
+        if self._assembly.chains is not None and not self._far:
+            chains = self._assembly.chains.take(self._assembly.row[self._which[rows]])
+            every = len(rows) == len(self.energy)
+            for wired, part in self._parts:
+                wired.add_lower(part if every else part[rows], chains)
+            return chains.solve(-self.gradient[rows])
+        steps, definite = np.empty((len(rows), *self.gradient.shape[1:])), np.empty(len(rows), bool)
+        for here in self._chunks(len(rows)):
+            own = rows[here]
+            links = tuple((places, part[own]) for places, part in self._far)
+            steps[here], definite[here] = solve_each(*self.hessian(own), links, -self.gradient[own])
+        return steps, definite
+
+    def _chunks(self, count: int) -> Iterator[slice]:
+        size = max(1, CHUNK // self._assembly.reference[0].size // self.gradient.shape[-1])
+        for at in range(0, count, size):
+            yield slice(at, at + size)
+
     def systems(self, rows: Index) -> Iterator[tuple[int, System]]:
         """Each of some rows with its Hessian, laid out a few at a time."""
-        size = max(1, CHUNK // self._assembly.reference[0].size // self.gradient.shape[-1])
-        for at in range(0, len(rows), size):
-            chunk = rows[at : at + size]
+        for here in self._chunks(len(rows)):
+            chunk = rows[here]
             for b, diagonal, upper in zip(chunk.tolist(), *self.hessian(chunk), strict=True):
                 yield b, System(diagonal, upper, tuple((i, part[b]) for i, part in self._far))
 
@@ -144,15 +183,30 @@ class Assembly:
             raise ValueError("the terms that differ by hypothesis must be linear")
         self.reference = np.stack([model.reference for model in self.models])
         _, S, D = self.reference.shape
-        self.nonlinear = [
-            _wire(term, first.columns)
-            for term in first.shared
-            if not isinstance(term.residual, Linear)
-        ] + [_wire_user(factor, first) for factor in first.extra]
         self.free = np.ones((S, D), dtype=bool)
         for name, k in first.fixed:
             self.free[k, first.columns[name]] = False
+        curved = [term for term in first.shared if not isinstance(term.residual, Linear)]
+        self.nonlinear = [_wire(term, first.columns) for term in _fused(curved)]
+        self.nonlinear += [_wire_user(factor, first) for factor in first.extra]
+        self.nonlinear = [self._held(wired) for wired in self.nonlinear]
+        steps = np.flatnonzero(~self.free.all(axis=1)).tolist()
+        self.held = [(k, np.flatnonzero(~self.free[k])) for k in steps]
         self._add_linear()
+
+    def _held(self, wired: _Wired) -> _Wired:
+        """With masks for what is known without error, so that it has no curvature."""
+        places = [] if wired.far is not None else list(wired.runs)
+        held = []
+        for at in range(wired.first.stop - wired.first.start):
+            k = wired.first.start + at
+            if wired.far is not None:
+                free = self.free.reshape(-1)[wired.far]
+            else:
+                free = np.concatenate([self.free[k + o, columns] for o, columns, _ in places])
+            if not free.all():
+                held.append((at, np.outer(free, free)))
+        return replace(wired, held=tuple(held))
 
     def wired(self, which: int) -> Iterator[tuple[_Wired, Term]]:
         """All terms of one hypothesis with their places in the state, then the user's factors."""
@@ -174,18 +228,25 @@ class Assembly:
         K, S, D = self.reference.shape
         # Plans that differ only in where they lead share one constant Hessian.
         alike = all(_same_curvature(model, self.models[0]) for model in self.models)
-        self._row = np.zeros(K, dtype=np.intp) if alike else np.arange(K)
-        self._diagonal = np.zeros((self._row[-1] + 1, S, D, D))
-        self._upper = np.zeros((self._row[-1] + 1, S - 1, D, D))
+        self.row = np.zeros(K, dtype=np.intp) if alike else np.arange(K)
+        self._diagonal = np.zeros((self.row[-1] + 1, S, D, D))
+        self._upper = np.zeros((self.row[-1] + 1, S - 1, D, D))
         self.gradient, self.constant = np.zeros((K, S, D)), np.zeros(K)
         for i, model in enumerate(self.models):
-            row = self._row[i]
+            row = self.row[i]
             for wired, residual in self.linear_terms(i):
                 part = residual.gauss_newton(*wired.variables(model.reference))
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:
                     wired.add_hessian(part.hessian, self._diagonal[row], self._upper[row])
+        self._sparse = [
+            _sparse(*blocks) for blocks in zip(self._diagonal, self._upper, strict=True)
+        ]
+        self._held_diagonal, self._held_upper = self._diagonal.copy(), self._upper.copy()
+        self.hold_fixed(self._held_diagonal, self._held_upper)
+        small = D <= BAND_LIMIT
+        self.chains = Chains.of(self._held_diagonal, self._held_upper) if small else None
 
     @cached_property
     def dimension(self) -> int:
@@ -213,25 +274,30 @@ class Assembly:
         """The same with the Gauss–Newton Hessian, which is positive semidefinite."""
         return Quadratic(self, X, which, lambda residual, x: residual.gauss_newton(*x))
 
-    def along(self, q: Quadratic, X: Array, step: Array, which: Index) -> Callable[[Array], Array]:
-        """Energies on the line X + s·step, as a function of lengths s (L, B) → (L, B).
+    def along(
+        self, q: Quadratic, X: Array, step: Array, which: Index
+    ) -> Callable[[Array, Index], Array]:
+        """Energies on the lines X + s·step, as a function of lengths s (L, R) and rows (R,) of the
+        B lines, shape (L, R).
 
         The linear-Gaussian part is exactly quadratic on the line. With wheels the line is the
         curve on which `moved` goes.
         """
         if self.motion is not None:
 
-            def along_the_curve(s: Array) -> Array:
-                return self.energy(self.moved(X, s[..., None, None] * step), which)
+            def along_the_curve(s: Array, rows: Index) -> Array:
+                there = self.moved(X[rows], s[..., None, None] * step[rows])
+                return self.energy(there, which[rows])
 
             return along_the_curve
         slope = _dot(q.linear_gradient, step)
         curvature = _dot(self.times(step, which), step)
 
-        def energies(s: Array) -> Array:
+        def energies(s: Array, rows: Index) -> Array:
             with np.errstate(over="ignore", invalid="ignore"):
-                linear = q.linear_energy + s * slope + 0.5 * s**2 * curvature
-                return np.asarray(linear + self.potentials(X + s[..., None, None] * step))
+                linear = q.linear_energy[rows] + s * slope[rows] + 0.5 * s**2 * curvature[rows]
+                at = X[rows] + s[..., None, None] * step[rows]
+                return np.asarray(linear + self.potentials(at))
 
         return energies
 
@@ -256,24 +322,25 @@ class Assembly:
 
     def times(self, d: Array, which: Index) -> Array:
         """Constant Hessian times d, shape (..., S, D)."""
-        if len(self._diagonal) > 1:
-            diagonal, upper = self._diagonal[self._row[which]], self._upper[self._row[which]]
-            out = np.matmul(diagonal, d[..., None])[..., 0]
-            out[..., :-1, :] += np.matmul(upper, d[..., 1:, :, None])[..., 0]
-            lower = np.swapaxes(upper, -1, -2)
-            out[..., 1:, :] += np.matmul(lower, d[..., :-1, :, None])[..., 0]
-            return np.asarray(out)
-        # One matrix a step for all: one product with many columns, not many with one.
-        columns = np.ascontiguousarray(np.moveaxis(d.reshape(-1, *d.shape[-2:]), 0, -1))
-        product = np.matmul(self._diagonal[0], columns)
-        product[:-1] += np.matmul(self._upper[0], columns[1:])
-        product[1:] += np.matmul(np.swapaxes(self._upper[0], -1, -2), columns[:-1])
-        return np.ascontiguousarray(np.moveaxis(product, -1, 0)).reshape(d.shape)
+        columns = d.reshape(-1, d.shape[-2] * d.shape[-1]).T
+        if len(self._sparse) == 1:
+            product = self._sparse[0] @ columns
+        else:
+            product = np.empty_like(columns)
+            row = np.broadcast_to(self.row[which], d.shape[:-2]).ravel()
+            for i in np.unique(row):
+                product[:, row == i] = self._sparse[i] @ columns[:, row == i]
+        return np.ascontiguousarray(product.T).reshape(d.shape)
 
     def linear_hessian(self, which: Index) -> tuple[Array, Array]:
         """Copies of the constant Hessian blocks, one per hypothesis asked for."""
-        rows = self._row[which]
+        rows = self.row[which]
         return self._diagonal[rows], self._upper[rows]
+
+    def held_hessian(self, which: Index) -> tuple[Array, Array]:
+        """The same with `hold_fixed` applied."""
+        rows = self.row[which]
+        return self._held_diagonal[rows], self._held_upper[rows]
 
     def hold_fixed(self, diagonal: Array, upper: Array) -> None:
         """A state known without error does not move: unit curvature, no link to others."""
@@ -306,6 +373,22 @@ def hold(free: NDArray[np.bool_], diagonal: Array, upper: Array) -> None:
             upper[:, k - 1, :, held] = 0
 
 
+def _fused(terms: Sequence[Term]) -> Iterator[Term]:
+    """The terms, those between the robot and the same held people as one: where people are is
+    then looked at once."""
+    alike: dict[tuple[int, range], list[tuple[Term, PredictedPairs]]] = {}
+    for term in terms:
+        if isinstance(term.residual, PredictedPairs):
+            key = (id(term.residual.people), term.steps)
+            alike.setdefault(key, []).append((term, term.residual))
+        else:
+            yield term
+    for group in alike.values():
+        term, pairs = group[0]
+        potential = Together(tuple(own.potential for _, own in group))
+        yield replace(term, residual=replace(pairs, potential=potential))
+
+
 def _same_curvature(a: Model, b: Model) -> bool:
     # A waypoint without a time is on other steps in another hypothesis.
     return len(a.own) == len(b.own) and all(
@@ -317,6 +400,24 @@ def _same_curvature(a: Model, b: Model) -> bool:
         )
         for one, other in zip(a.own, b.own, strict=True)
     )
+
+
+@lru_cache(maxsize=64)
+def _lower(size: int) -> NDArray[np.bool_]:
+    return np.tri(size, dtype=bool)
+
+
+def _sparse(diagonal: Array, upper: Array) -> csr_array:
+    """A chain, of which most blocks are nearly empty, as a sparse matrix."""
+    S, D, _ = diagonal.shape
+    k, a, b = np.nonzero(diagonal)
+    rows, columns, values = [k * D + a], [k * D + b], [diagonal[k, a, b]]
+    k, a, b = np.nonzero(upper)
+    rows += [k * D + a, k * D + D + b]
+    columns += [k * D + D + b, k * D + a]
+    values += 2 * [upper[k, a, b]]
+    place = (np.concatenate(rows), np.concatenate(columns))
+    return csr_array((np.concatenate(values), place), shape=(S * D, S * D))
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -6,7 +6,6 @@ wide as two blocks would spend half its work on zeros.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 Array = NDArray[np.float64]
+Links = tuple[tuple[NDArray[np.intp], Array], ...]
 
 BAND_LIMIT = 12
 """Largest block size for which the banded factorisation was measured to be faster."""
@@ -44,14 +44,14 @@ class System(NamedTuple):
     """A symmetric matrix H: a chain, and links between steps that are not neighbours.
 
     Args:
-        diagonal: Blocks (k, k), symmetric, shape (S, D, D).
-        upper: Blocks (k, k + 1), shape (S − 1, D, D).
-        links: Symmetric parts (m, m) on places (m,) of the flattened state.
+        diagonal: Blocks (k, k), symmetric, shape (S, D, D), or (B, S, D, D) of many.
+        upper: Blocks (k, k + 1), shape (S − 1, D, D), or (B, S − 1, D, D).
+        links: Symmetric parts (m, m), or (B, m, m), on places (m,) of the flattened state.
     """
 
     diagonal: Array
     upper: Array
-    links: tuple[tuple[NDArray[np.intp], Array], ...] = ()
+    links: Links = ()
 
     def times(self, d: Array) -> Array:
         """H d, shape (N, S, D)."""
@@ -78,9 +78,7 @@ class System(NamedTuple):
         )
 
 
-def factorize(
-    diagonal: Array, upper: Array, links: tuple[tuple[NDArray[np.intp], Array], ...] = ()
-) -> Factor | None:
+def factorize(diagonal: Array, upper: Array, links: Links = ()) -> Factor | None:
     """Factorise H, given as the parts of a `System`; None where it is not positive definite.
 
     With links the system is solved as a dense one.
@@ -173,9 +171,7 @@ class _Dense:
         return float(2 * np.log(np.diagonal(self._factor)).sum())
 
 
-def _factorize_dense(
-    diagonal: Array, upper: Array, links: tuple[tuple[NDArray[np.intp], Array], ...]
-) -> Factor | None:
+def _factorize_dense(diagonal: Array, upper: Array, links: Links) -> Factor | None:
     S, D, _ = diagonal.shape
     H = np.zeros((S, D, S, D))
     k = np.arange(S)
@@ -207,25 +203,102 @@ def _factorize_blocks(diagonal: Array, upper: Array) -> Factor | None:
     return _Blocks(factors, links) if np.isfinite(np.diagonal(factors[-1]).sum()) else None
 
 
+class Chains:
+    """B chains of small blocks, one after the other in LAPACK's lower band, with no link between.
+
+    Entry (a, b) of block (k, k) is at row a − b of column kD + b, and entry (a, b) of block
+    (k, k + 1), transposed, at row D + b − a of column kD + a: in memory, both are at a distance
+    that is linear in k, a and b, so that blocks are views of the band.
+
+    Args:
+        data: Columns of the band, shape (B, S·D, 2D), contiguous.
+        D: Size of a block.
+
+    Attributes:
+        diagonal: Blocks (k, k), shape (B, S, D, D): only what is on and below the diagonal may be
+            written, the rest shares its memory with other entries.
+        upper: Blocks (k, k + 1), shape (B, S − 1, D, D).
+    """
+
+    def __init__(self, data: Array, D: int) -> None:
+        self.data = data
+        B, size, _ = data.shape
+        S, item = size // D, data.itemsize
+        chain, step, across = data.strides[0], 2 * D * D * item, (2 * D - 1) * item
+        self.diagonal = np.ndarray((B, S, D, D), float, data, 0, (chain, step, item, across))
+        shape, offset = (B, S - 1, D, D), D * item if S > 1 else 0
+        self.upper = np.ndarray(shape, float, data, offset, (chain, step, across, item))
+
+    @classmethod
+    def of(cls, diagonal: Array, upper: Array) -> Chains:
+        """From blocks (B, S, D, D) and (B, S − 1, D, D)."""
+        B, S, D, _ = diagonal.shape
+        chains = cls(np.zeros((B, S * D, 2 * D)), D)
+        # What is above the diagonal is written as zero, some of it where `upper` writes anew.
+        chains.diagonal[...] = np.tril(diagonal)
+        chains.upper[...] = upper
+        return chains
+
+    def take(self, rows: NDArray[np.intp]) -> Chains:
+        """Copies of some of the chains."""
+        return Chains(self.data[rows], self.upper.shape[-1])
+
+    def factorize(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Cholesky factors, in place, in the form `_Band` takes (2D, B·S·D), and which chains are
+        positive definite (B,); the others' factors are the identity."""
+        B, size, width = self.data.shape
+        band = self.data.reshape(B * size, width).T
+        definite = np.ones(B, dtype=bool)
+        if not np.isfinite(self.data.sum()):  # a NaN would spread from chain to chain
+            definite = np.isfinite(self.data.sum(axis=(1, 2)))
+            for b in np.flatnonzero(~definite).tolist():
+                self._forget(b)
+        at = 0
+        while at < B:
+            # A failure leaves the chains before it factorised and those after it as they were.
+            _, info = lapack.dpbtrf(band[:, at * size :], lower=1, overwrite_ab=1)
+            if info == 0:
+                break
+            at += (info - 1) // size
+            definite[at] = False
+            self._forget(at)
+            at += 1
+        return band, definite
+
+    def _forget(self, b: int) -> None:
+        self.data[b, :, 0], self.data[b, :, 1:] = 1.0, 0.0
+
+    def solve(self, rhs: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """x_b with H_b x_b = rhs_b, shape (B, S, D), zero where H_b is not positive definite, and
+        where it is (B,). The band is overwritten."""
+        band, definite = self.factorize()
+        x, _ = lapack.dpbtrs(band, rhs.reshape(-1), lower=1)
+        x = np.asarray(x).reshape(rhs.shape)
+        if not definite.all():
+            x[~definite] = 0.0
+        return x, definite
+
+
 def _factorize_band(diagonal: Array, upper: Array) -> Factor | None:
-    S, D, _ = diagonal.shape
-    band = np.zeros((2 * D) * S * D)
-    into_diagonal, from_diagonal, into_upper, from_upper = _band_index(S, D)
-    band[into_diagonal] = diagonal.reshape(-1)[from_diagonal]
-    band[into_upper] = upper.reshape(-1)[from_upper]
-    factor, info = lapack.dpbtrf(band.reshape(2 * D, S * D, order="F"), lower=1)
-    return _Band(factor) if info == 0 and np.isfinite(factor[0].sum()) else None
+    factor, definite = Chains.of(diagonal[None], upper[None]).factorize()
+    return _Band(factor) if definite[0] and np.isfinite(factor[0].sum()) else None
 
 
-@lru_cache(maxsize=64)
-def _band_index(S: int, D: int) -> tuple[NDArray[np.intp], ...]:
-    """Where each lower-triangular entry goes in LAPACK's band (Fortran order)."""
-    k, a, b = np.meshgrid(np.arange(S), np.arange(D), np.arange(D), indexing="ij")
-    lower = a >= b
-    into_diagonal = ((a - b) + 2 * D * (k * D + b))[lower]
-    from_diagonal = (k * D * D + a * D + b)[lower]
-    k, a, b = np.meshgrid(np.arange(S - 1), np.arange(D), np.arange(D), indexing="ij")
-    # Block (k, k + 1) at (a, b) is the entry of row (k + 1) D + b below column k D + a.
-    into_upper = ((D + b - a) + 2 * D * (k * D + a)).reshape(-1)
-    from_upper = (k * D * D + a * D + b).reshape(-1)
-    return into_diagonal, from_diagonal, into_upper, from_upper
+def solve_each(
+    diagonal: Array, upper: Array, links: Links, rhs: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The same as `Chains.solve` for blocks of any size and with links.
+
+    Args:
+        diagonal: Blocks (k, k), shape (B, S, D, D).
+        upper: Blocks (k, k + 1), shape (B, S − 1, D, D).
+        links: As in `System`, with parts (B, m, m).
+        rhs: Shape (B, S, D).
+    """
+    x, definite = np.zeros_like(rhs), np.zeros(len(rhs), dtype=bool)
+    for b in range(len(rhs)):
+        own = tuple((places, part[b]) for places, part in links)
+        factor = factorize(diagonal[b], upper[b], own)
+        if factor is not None:
+            x[b], definite[b] = factor.solve(rhs[b]), True
+    return x, definite

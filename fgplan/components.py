@@ -95,7 +95,7 @@ def component_of(
     solving: Solving, hypothesis: Hypothesis, own: list[Found], seconds: float
 ) -> Solved:
     """The best feasible optimum of one hypothesis (the best one, if none is feasible)."""
-    ended = [f for f in own if f.solution.stop is not Stop.MERGED]
+    ended = [f for f in own if f.solution.stop not in (Stop.MERGED, Stop.GIVEN_UP)] or own
     # Rounded, so that of two starts with one optimum the first is named.
     optima = _distinct(sorted(ended, key=lambda f: round(f.solution.energy, 6)))
     best, result = _first_feasible(solving, optima)

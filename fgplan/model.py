@@ -321,13 +321,14 @@ def _held_people(scenario: Scenario, held: Belief) -> Iterable[Term]:
     d, dim = scenario.density, scenario.robot.model.dim
     on, steps = (("robot", 0),), range(d.steps + 1)
     mean, covariance = held.predict(d.times)
+    where = mean[..., :2]
     if d.alpha > 0:
         variance = np.trace(covariance[..., :2, :2], axis1=-2, axis2=-1) / 2
         interaction = Interaction(d.alpha, d.h_c, d.exponent, variance)
-        pairs = PredictedPairs(interaction, mean[..., :2], dim)
+        pairs = PredictedPairs(interaction, where, dim)
         yield Term("interaction held", pairs, on, steps)
     if np.isfinite(d.contact_sigma):
-        pairs = PredictedPairs(_contact(scenario, held), mean[..., :2], dim)
+        pairs = PredictedPairs(_contact(scenario, held), where, dim)
         yield Term("contact held", pairs, on, steps)
 
 

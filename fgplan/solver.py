@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt on one hypothesis or many: a second-order loop, and GTSAM's own.
+"""Optimisers of one hypothesis or many: a second-order loop, and GTSAM's Levenberg–Marquardt.
 
 Both take an assembly and states to start from, and say why they stopped. Each result is a local
 optimum at best.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly, Quadratic
-from fgplan.block_tridiagonal import Factor, System, factorize
+from fgplan.block_tridiagonal import Factor, factorize
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -31,6 +31,7 @@ class Stop(Enum):
     NOT_FINITE = "the energy is not finite at the start"
     SADDLE = "stationary, but not a minimum"
     MERGED = "met another start on its way"
+    GIVEN_UP = "too far above another start to win"
     DEADLINE = "no time left"
 
 
@@ -77,24 +78,28 @@ class Solver(Protocol):
 
 @dataclass(frozen=True)
 class SecondOrder:
-    """Levenberg–Marquardt with the true Hessian on a block-tridiagonal factorisation.
+    """Newton steps with the true Hessian on a block-tridiagonal factorisation.
 
-    A Gauss–Newton step, then Newton. Where the Hessian is not positive definite it is damped
-    by the Gauss–Newton one, H + λ H_GN, λ growing from 0 to infinity (Gauss–Newton itself). All
-    starts are evaluated together.
+    Where the Hessian is not positive definite the step is Gauss–Newton's; mixing the two was
+    measured to be no better. All starts are evaluated and factorised together.
 
     Args:
-        warmup: Gauss–Newton steps before the true Hessian.
         max_iterations: Linear systems a start may solve.
-        tolerance: Stop when a Newton step promises less than this [nats].
+        tolerance: Stop when a Newton step promises less than this [nats]; that step is still
+            taken, after which the next one would promise about its square.
         meeting: Two starts of a hypothesis this close in every coordinate [m, m/s] and in energy
             [nats] go to one optimum: the worse one is not followed further. 0 follows all.
+        patience: A start that this many times what its Newton step promises would still leave
+            `margin` above another one of its hypothesis is given up. inf follows all.
+        margin: How far above the best an optimum still matters [nats]: for the evidence, as a
+            share exp(−margin) of it; for the best plan alone, not at all.
     """
 
-    warmup: int = 1
     max_iterations: int = 100
-    tolerance: float = 1e-9
+    tolerance: float = 1e-7
     meeting: float = 0.05
+    patience: float = 2.0
+    margin: float = 3.0
 
     def solve(
         self, assembly: Assembly, initial: Array, which: Index, until: float = np.inf
@@ -102,15 +107,18 @@ class SecondOrder:
         X = np.array(initial, dtype=float)
         which = np.asarray(which)
         B = len(X)
+        if not B:
+            return ()
         stop = [Stop.ITERATIONS] * B
         iterations = np.zeros(B, dtype=int)
         decrement = np.full(B, np.inf)
         energy = assembly.energy(X, which)
+        last = np.zeros_like(X)
         active = np.flatnonzero(np.isfinite(energy))
         for b in np.flatnonzero(~np.isfinite(energy)).tolist():
             stop[b] = Stop.NOT_FINITE
         began = perf_counter()
-        for iteration in range(self.max_iterations):
+        for _ in range(self.max_iterations):
             if not len(active):
                 break
             # The next iteration is expected to last as long as the last one.
@@ -120,51 +128,65 @@ class SecondOrder:
                     stop[b] = Stop.DEADLINE
                 break
             began = now
-            newton = iteration >= self.warmup
-            way = _directions(assembly, X[active], which[active], newton)
-            length, reached = _line_search(assembly, X[active], way, which[active])
+            way = _directions(assembly, X[active], which[active])
             iterations[active] += 1
-            decrement[active] = way.promised
+            decrement[active], energy[active] = way.promised, way.expansion.energy
+            done = way.promised < self.tolerance
+            for b, curved in zip(active[done].tolist(), way.minimum[done].tolist(), strict=True):
+                stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
+            last[active[done]] = way.step[done]
+            hopeless = ~done & self._hopeless(way, energy, which, active)
+            for b in active[hopeless].tolist():
+                stop[b] = Stop.GIVEN_UP
+            going = np.flatnonzero(~(done | hopeless))
+            if not len(going):
+                break
+            length, reached = _line_search(assembly, X[active], way, which[active], going)
             moved = length > 0
-            X[active] = assembly.moved(X[active], length[:, None, None] * way.step)
-            energy[active] = reached
-            still: list[int] = []
-            for b, went, gain, curved in zip(
-                active.tolist(), moved, way.promised, way.minimum, strict=True
-            ):
-                if newton and gain < self.tolerance:
-                    stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
-                elif newton and not went:
-                    stop[b] = Stop.CONVERGED if curved and gain < 1e-6 else Stop.NO_DESCENT
-                else:
-                    still.append(b)
-            if newton:
-                for b in self._met(X, energy, which, still, stop):
-                    stop[b] = Stop.MERGED
-                    still.remove(b)
-            active = np.array(still, dtype=np.intp)
-        energy = assembly.energy(X, which)
+            on = active[going[moved]]
+            X[on] = assembly.moved(X[on], length[moved, None, None] * way.step[going[moved]])
+            energy[active[going]] = reached
+            for b, i in zip(active[going[~moved]].tolist(), going[~moved].tolist(), strict=True):
+                # Nothing is lower, as far as rounding tells.
+                sharp = way.minimum[i] and way.promised[i] < 1e-6
+                stop[b] = Stop.CONVERGED if sharp else Stop.NO_DESCENT
+            active = self._apart(X, energy, which, on, stop)
+        end = assembly.moved(X, last)
+        before, after = assembly.energy(X, which), assembly.energy(end, which)
+        better = after < before
+        X[better], energy = end[better], np.where(better, after, before)
         return tuple(
             Solution(X[b], float(energy[b]), int(iterations[b]), stop[b], float(decrement[b]))
             for b in range(B)
         )
 
-    def _met(
-        self, X: Array, energy: Array, which: Index, active: list[int], stop: list[Stop]
-    ) -> list[int]:
-        """Active starts that are where a better start of their hypothesis is, or has ended: time
-        is for new optima."""
-        others = active + [b for b, s in enumerate(stop) if s is Stop.CONVERGED]
-        found: list[int] = []
-        for b in active:
-            for a in others:
-                if a == b or which[a] != which[b] or abs(energy[a] - energy[b]) >= self.meeting:
-                    continue
-                ahead = stop[a] is Stop.CONVERGED or (energy[a], a) < (energy[b], b)
-                if ahead and a not in found and np.abs(X[a] - X[b]).max() < self.meeting:
-                    found.append(b)
-                    break
-        return found
+    def _hopeless(
+        self, way: _Directions, energy: Array, which: Index, active: Index
+    ) -> NDArray[np.bool_]:
+        """Which active starts cannot be expected to matter beside others of their hypothesis."""
+        lowest = np.full(which.max() + 1, np.inf)
+        np.minimum.at(lowest, which, np.where(np.isfinite(energy), energy, np.inf))
+        # Without a minimum ahead, what a step promises says little of what lies beyond it.
+        gain = np.where(way.minimum, self.patience * np.maximum(way.promised, 1e-300), np.inf)
+        return np.asarray(energy[active] - gain - self.margin > lowest[which[active]])
+
+    def _apart(
+        self, X: Array, energy: Array, which: Index, active: Index, stop: list[Stop]
+    ) -> Index:
+        """The active starts without those that are where a better one of their hypothesis is, or
+        has ended: time is for new optima."""
+        ended = [b for b, s in enumerate(stop) if s is Stop.CONVERGED]
+        others = np.concatenate([active, np.array(ended, dtype=np.intp)])
+        mine, theirs = energy[active][:, None], energy[others]
+        near = (np.abs(mine - theirs) < self.meeting) & (which[active][:, None] == which[others])
+        ahead = (theirs < mine) | ((theirs == mine) & (others < active[:, None]))
+        ahead[:, len(active) :] = True
+        for i, j in np.argwhere(near & ahead).tolist():
+            a, b = int(others[j]), int(active[i])
+            apart = stop[a] is Stop.MERGED or stop[b] is Stop.MERGED
+            if not apart and np.abs(X[a] - X[b]).max() < self.meeting:
+                stop[b] = Stop.MERGED
+        return np.array([b for b in active.tolist() if stop[b] is not Stop.MERGED], dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -204,7 +226,7 @@ class GtsamLM:
         # LM returns the initial guess, without raising, when the error is NaN.
         if not np.all(np.isfinite(end)):
             return Solution(state, np.inf, optimizer.iterations(), Stop.NOT_FINITE, np.inf)
-        way = _directions(assembly, end[None], np.array([i]), newton=True)
+        way = _directions(assembly, end[None], np.array([i]))
         promised, minimum = float(way.promised[0]), bool(way.minimum[0])
         if optimizer.iterations() >= self.max_iterations:
             stop = Stop.ITERATIONS
@@ -239,39 +261,17 @@ class _Directions:
     expansion: Quadratic
 
 
-def _directions(assembly: Assembly, X: Array, which: Index, newton: bool) -> _Directions:
-    q = assembly.expand(X, which) if newton else assembly.gauss_newton(X, which)
-    step, promised = np.zeros_like(X), np.full(len(X), np.inf)
-    indefinite = []
-
-    def follow(b: int, factor: Factor) -> None:
-        step[b] = factor.solve(-q.gradient[b])
-        promised[b] = -0.5 * float(np.vdot(q.gradient[b], step[b]))
-
-    for b, system in q.systems(np.arange(len(X))):
-        factor = factorize(*system)
-        if factor is None:
-            indefinite.append(b)
-        else:
-            follow(b, factor)
-    if indefinite:
-        rows = np.array(indefinite)
-        damping = assembly.gauss_newton(X[rows], which[rows])
-        for (b, true), (_, flat) in zip(
-            q.systems(rows), damping.systems(np.arange(len(rows))), strict=True
-        ):
-            factor = _damped(true, flat)
-            if factor is not None:
-                follow(b, factor)
-    minimum = np.ones(len(X), dtype=bool)
-    minimum[indefinite] = False
-    return _Directions(step, promised, minimum, q)
-
-
-def _damped(true: System, flat: System) -> Factor | None:
-    """Factor of (H + λ H_GN)/(1 + λ) for the first λ of 1 and infinity that allows it."""
-    with np.errstate(invalid="ignore"):  # a user's factor may hold inf; no factor then
-        return factorize(*true.mixed(flat, 0.5)) or factorize(*flat)
+def _directions(assembly: Assembly, X: Array, which: Index) -> _Directions:
+    q = assembly.expand(X, which)
+    step, minimum = q.newton(np.arange(len(X)))
+    found = minimum.copy()
+    if not minimum.all():
+        rows = np.flatnonzero(~minimum)
+        flat = assembly.gauss_newton(X[rows], which[rows])
+        # The gradient is the same; the Gauss–Newton Hessian is positive definite with the prior.
+        step[rows], found[rows] = flat.newton(np.arange(len(rows)))
+    promised = -0.5 * np.einsum("bsd,bsd->b", q.gradient, step)
+    return _Directions(step, np.where(found, promised, np.inf), minimum, q)
 
 
 FULL_STEP = 0.5
@@ -281,30 +281,29 @@ SHORT_LENGTHS = (2.0**-12, 2.0**-8, 2.0**-6, 2.0**-4)
 
 
 def _line_search(
-    assembly: Assembly, X: Array, way: _Directions, which: Index
+    assembly: Assembly, X: Array, way: _Directions, which: Index, rows: Index
 ) -> tuple[Array, Array]:
-    """Length of the step for each start (B,), 0 where none lowers the energy, and that energy.
+    """Length of the step for some rows (R,), 0 where none lowers the energy, and that energy.
 
     The full step when it is good; else the best of a few lengths; else of a few short ones.
     """
-    energy = way.expansion.energy
+    before, promised = way.expansion.energy[rows], np.maximum(way.promised[rows], 0.0)
     energies = assembly.along(way.expansion, X, way.step, which)
-    length, reached = np.ones(len(X)), _finite(energies(np.ones((1, len(X)))))[0]
-    wanted = energy - FULL_STEP * np.maximum(way.promised, 0.0)
+    length, reached = np.ones(len(rows)), _finite(energies(np.ones((1, len(rows))), rows))[0]
+    poor = np.flatnonzero(reached > before - FULL_STEP * promised)
     for lengths in (LENGTHS, SHORT_LENGTHS):
-        if np.all(reached <= wanted):
+        if not len(poor):
             break
-        s = np.broadcast_to(np.array(lengths)[:, None], (len(lengths), len(X)))
-        tried = _finite(energies(s))
+        s = np.array(lengths)
+        tried = _finite(energies(np.tile(s[:, None], len(poor)), rows[poor]))
         best = tried.argmin(axis=0)
-        lowest = np.take_along_axis(tried, best[None], axis=0)[0]
-        better = (reached > wanted) & (lowest < reached)
-        length = np.where(better, np.array(lengths)[best], length)
-        reached = np.where(better, lowest, reached)
+        lowest = tried.min(axis=0)
+        better = lowest < reached[poor]
+        length[poor[better]], reached[poor[better]] = s[best[better]], lowest[better]
         # A longer search is only for those that still go up.
-        wanted = np.where(reached < energy, np.inf, -np.inf)
-    descends = reached < energy
-    return np.where(descends, length, 0.0), np.where(descends, reached, energy)
+        poor = poor[reached[poor] >= before[poor]]
+    descends = reached < before
+    return np.where(descends, length, 0.0), np.where(descends, reached, before)
 
 
 def _finite(energy: Array) -> Array:

@@ -124,7 +124,7 @@ def _second_order(assembly: Assembly, starts: Array, i: int) -> list[Solution]:
     ends: list[Solution] = []
     for at in range(0, len(starts), BATCH):
         chunk = starts[at : at + BATCH]
-        ends += SecondOrder().solve(assembly, chunk, np.full(len(chunk), i))
+        ends += SecondOrder(patience=np.inf).solve(assembly, chunk, np.full(len(chunk), i))
     return ends
 
 

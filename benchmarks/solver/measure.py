@@ -215,7 +215,7 @@ def _plan_both(size: Size, seed: int, records: Records, clock: Clock) -> None:
 
 def _measure_twelve(size: Size, effort: Effort, records: Records, tick: Tick) -> None:
     """Twelve starts of one hypothesis, all followed to their end."""
-    peer = Native("fgplan predicted x12", SecondOrder(meeting=0.0))
+    peer = Native("fgplan predicted x12", SecondOrder(meeting=0.0, patience=np.inf))
     arguments = {"T": size.T, "K": size.K, "crowd": size.crowd}
     for seed in range(effort.scenes):
         world = World.random(seed, size.n)

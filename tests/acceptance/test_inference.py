@@ -150,7 +150,7 @@ def smooth(seed: int, **changes: object) -> tuple[Assembly, list[list[Solution]]
     )
     assembly, hypotheses = assembled(scene)
     X, which = initial(assembly, hypotheses)
-    solved = SecondOrder(meeting=0.0).solve(assembly, X, which)
+    solved = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X, which)
     optima = []
     for i in range(len(hypotheses)):
         own: list[Solution] = []

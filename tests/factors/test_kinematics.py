@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from factors.hinge import TINY, Hinge, expand_norm, hinge_scale, linearize_norm, norm
+from factors.hinge import TINY, Hinge, hinge_scale, linearize_norm, norm
 from factors.kinematics import AccelerationLimit, SpeedLimit
+from factors.radial import components, square
 from factors.residual import Residual
 from tests.factor_testing import check_derivatives
 
@@ -102,10 +103,21 @@ def test_hinge_threshold_broadcasts() -> None:
 
 
 def test_norm_and_its_derivatives_at_the_origin() -> None:
-    length, gradient, hessian = expand_norm(np.zeros(2))
+    length, gradient = linearize_norm(np.zeros(2))
     assert length == TINY
     assert_allclose(gradient, 0.0)
-    assert_allclose(hessian, np.eye(2) / TINY)
+
+
+@pytest.mark.parametrize("side", ["above", "below"])
+@pytest.mark.parametrize("v", [np.zeros(2), np.array([0.3, -0.4]), np.array([0.1, 0.5, -1.2])])
+def test_hinge_of_a_length_equals_the_chain_rule(v, side) -> None:
+    hinge = Hinge(0.4, 3.0, side)
+    d, u = linearize_norm(v)
+    expected = hinge.expand(d, u, (np.eye(len(v)) - np.outer(u, u)) / d)
+    found = hinge.radial(square(components(v))).of(components(v))
+    for one, other in zip(found, expected, strict=True):
+        assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+    assert_allclose(hinge.energy_of(square(components(v))), expected.energy, rtol=1e-12)
 
 
 @given(st.floats(1e-3, 100), st.floats(0, 2 * np.pi))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fgplan.block_tridiagonal import BAND_LIMIT, factorize
+from fgplan.block_tridiagonal import BAND_LIMIT, Chains, factorize, solve_each
 from tests.scenes import dense
 
 SIZES = [(1, 1), (1, 2), (4, 1), (4, 13), (4, 40), (BAND_LIMIT, 7), (BAND_LIMIT + 1, 7), (24, 30),
@@ -105,3 +105,36 @@ def test_strided_blocks_give_the_same_numbers():
     assert other is not None
     rhs = np.random.default_rng(2).normal(size=(6, 5))
     np.testing.assert_allclose(one.solve(rhs), other.solve(rhs), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("D", "S", "B"), [(1, 4, 3), (3, 1, 2), (4, 25, 12), (5, 7, 4), (12, 3, 5)])
+def test_many_chains_in_one_band_equal_dense_solves(D, S, B):
+    rng = np.random.default_rng(D + S)
+    chains = [chain(S, D, seed) for seed in range(B)]
+    diagonal, upper = (np.stack(parts) for parts in zip(*chains, strict=True))
+    # The first, the last and, where there are more, two neighbours have no Cholesky factor.
+    broken = sorted({0, B // 2, B // 2 + 1, B - 1} & set(range(B)))[: B - 1]
+    for b in broken:
+        diagonal[b, rng.integers(S)] -= 1e3 * np.eye(D)
+    rhs = rng.normal(size=(B, S, D))
+    x, definite = Chains.of(diagonal, upper).solve(rhs)
+    one_by_one = solve_each(diagonal, upper, (), rhs)
+    np.testing.assert_array_equal(definite, [b not in broken for b in range(B)])
+    np.testing.assert_array_equal(definite, one_by_one[1])
+    for b in range(B):
+        H = dense(diagonal[b], upper[b])
+        expected = np.linalg.solve(H, rhs[b].ravel()) if definite[b] else np.zeros(S * D)
+        np.testing.assert_allclose(x[b].ravel(), expected, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(x, one_by_one[0], rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_chain_without_numbers_leaves_the_others_alone(bad):
+    chains = [chain(6, 4, seed) for seed in range(3)]
+    diagonal, upper = (np.stack(parts) for parts in zip(*chains, strict=True))
+    rhs = np.random.default_rng(0).normal(size=(3, 6, 4))
+    expected, _ = Chains.of(diagonal, upper).solve(rhs)
+    diagonal[1, 2, 0, 0] = bad
+    x, definite = Chains.of(diagonal, upper).solve(rhs)
+    np.testing.assert_array_equal(definite, [True, False, True])
+    np.testing.assert_array_equal(x[[0, 2]], expected[[0, 2]])

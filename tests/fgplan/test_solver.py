@@ -31,7 +31,7 @@ from tests.scenes import (
     track,
 )
 
-SOLVERS = [SecondOrder(meeting=0.0), GtsamLM()]
+SOLVERS = [SecondOrder(meeting=0.0, patience=np.inf), GtsamLM()]
 NAMES = ["second order", "gtsam"]
 
 VARIANTS = {
@@ -50,7 +50,7 @@ def test_both_solvers_agree_where_they_end_in_one_optimum(variant, people, grid)
     assembly, hypotheses = assembled(scenario)
     X, which = initial(assembly, hypotheses)
     X, which = X[:2], which[:2]
-    ours = SecondOrder(meeting=0.0).solve(assembly, X, which)
+    ours = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X, which)
     theirs = GtsamLM().solve(assembly, X, which)
     same = 0
     for one, other in zip(ours, theirs, strict=True):
@@ -105,9 +105,9 @@ def dense_optimum(assembly: Assembly, state: np.ndarray) -> np.ndarray:
 def test_a_linear_gaussian_density_takes_one_newton_step(changes):
     assembly, X = linear_scene(1, **changes)
     expected = dense_optimum(assembly, X[0])
-    once = SecondOrder(warmup=0, max_iterations=1).solve(assembly, X, ONE)[0]
+    once = SecondOrder(max_iterations=1).solve(assembly, X, ONE)[0]
     np.testing.assert_allclose(once.state, expected, atol=1e-8)
-    found = SecondOrder(warmup=0).solve(assembly, X, ONE)[0]
+    found = SecondOrder().solve(assembly, X, ONE)[0]
     assert found.stop is Stop.CONVERGED
     assert found.iterations == 2  # the second one finds nothing left to gain
     np.testing.assert_allclose(found.state, expected, atol=1e-8)
@@ -145,7 +145,7 @@ def test_a_start_on_a_person_with_alpha_1_is_not_finite(solver):
 
 
 @pytest.mark.parametrize(
-    "solver", [SecondOrder(max_iterations=1, meeting=0.0), GtsamLM(max_iterations=1)]
+    "solver", [SecondOrder(max_iterations=1, meeting=0.0, patience=np.inf), GtsamLM(max_iterations=1)]
 )
 def test_too_few_iterations_are_named(solver):
     assembly, hypotheses = assembled(random_scene(2, 3))
@@ -193,7 +193,7 @@ def test_the_energy_never_rises(seed):
     X = X + np.where(assembly.free, 0.3 * np.random.default_rng(seed).normal(size=X.shape), 0.0)
     before = assembly.energy(X, which)
     for limit in range(1, 16):
-        found = SecondOrder(max_iterations=limit, meeting=0.0).solve(assembly, X, which)
+        found = SecondOrder(max_iterations=limit, meeting=0.0, patience=np.inf).solve(assembly, X, which)
         energy = np.array([s.energy for s in found])
         assert np.all(energy <= before + 1e-9)  # rounding of sums of terms of the order 1e4
         states = np.stack([s.state for s in found])
@@ -205,7 +205,7 @@ def test_the_energy_never_rises(seed):
 def test_at_an_optimum_no_small_step_is_better(seed):
     assembly, hypotheses = assembled(random_scene(seed, 3))
     X, which = initial(assembly, hypotheses)
-    found = SecondOrder(meeting=0.0).solve(assembly, X[:1], which[:1])[0]
+    found = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[:1], which[:1])[0]
     assert factor_hessian(assembly, found.state, 0) is not None
     rng = np.random.default_rng(seed)
     steps = np.where(assembly.free, rng.standard_normal((300, *found.state.shape)), 0.0)
@@ -226,9 +226,9 @@ def test_a_state_known_without_error_stays(solver):
 def test_a_batch_ends_where_its_members_end_alone():
     assembly, hypotheses = assembled(random_scene(5, 3, True))
     X, which = initial(assembly, hypotheses)
-    together = SecondOrder(meeting=0.0).solve(assembly, X, which)
+    together = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X, which)
     for b, found in enumerate(together):
-        alone = SecondOrder(meeting=0.0).solve(assembly, X[b : b + 1], which[b : b + 1])[0]
+        alone = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[b : b + 1], which[b : b + 1])[0]
         assert alone.stop is found.stop
         assert alone.iterations == found.iterations
         assert alone.energy == pytest.approx(found.energy, abs=1e-9)
@@ -238,7 +238,7 @@ def test_a_batch_ends_where_its_members_end_alone():
 def test_no_starts_give_no_solutions():
     assembly, hypotheses = assembled(random_scene(5, 1))
     X, which = initial(assembly, hypotheses)
-    assert SecondOrder(meeting=0.0).solve(assembly, X[:0], which[:0]) == ()
+    assert SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[:0], which[:0]) == ()
     assert GtsamLM().solve(assembly, X[:0], which[:0]) == ()
 
 
@@ -255,7 +255,7 @@ def long_chain(steps: int, **changes: object) -> tuple[Assembly, np.ndarray]:
 def test_a_long_chain_held_at_its_start_is_solved(steps):
     """GTSAM's note is that such a chain breaks Cholesky; in our band it does not."""
     assembly, X = long_chain(steps)
-    found = SecondOrder(meeting=0.0).solve(assembly, X, ONE)[0]
+    found = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X, ONE)[0]
     assert found.converged
     assert found.iterations == 2  # the warm-up's one, and one Newton step that finds nothing
     t = assembly.models[0].times
@@ -286,7 +286,7 @@ def test_both_solvers_agree_on_a_long_chain_with_a_plan(steps):
 def test_a_long_loosely_coupled_chain_matches_dense_least_squares():
     density = Density(dt=0.1, horizon=30.0, limit_sigma=np.inf)
     assembly, X = linear_scene(2, density=density, levels=(Level(h=1e4),))
-    found = SecondOrder(meeting=0.0).solve(assembly, X, ONE)[0]
+    found = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X, ONE)[0]
     expected = dense_optimum(assembly, X[0])
     assert found.converged
     # Dense QR itself is good to 1e-6 m at 30 s, where the prior alone is 130 m wide.
@@ -354,14 +354,14 @@ def test_a_users_factor_bends_both_solvers_alike(solver):
     found = solver.solve(assembly, X[:1], which[:1])[0]
     assert found.converged
     np.testing.assert_allclose(found.state[3, :4], wish, atol=0.15)
-    reference = SecondOrder(meeting=0.0).solve(assembly, X[:1], which[:1])[0]
+    reference = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[:1], which[:1])[0]
     np.testing.assert_allclose(found.state, reference.state, atol=1e-4)
 
 
 def test_hessian_at_an_optimum_equals_the_dense_one():
     assembly, hypotheses = assembled(random_scene(6, 2, density=short()))
     X, which = initial(assembly, hypotheses)
-    found = SecondOrder(meeting=0.0).solve(assembly, X[:1], which[:1])[0]
+    found = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[:1], which[:1])[0]
     factor = factor_hessian(assembly, found.state, 0)
     q = assembly.expand(found.state[None], ONE)
     assert factor is not None
