@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +45,11 @@ class Solving:
     belief: Belief
     assembly: Assembly
     which: int
-    finished: bool
+    finished: bool = True
     inference: Inference = Laplace(check=0)  # noqa: RUF009 - frozen
     seed: int = 0
     progress: Progress | None = None
+    checks: dict[Solution, Check] = field(default_factory=dict)
 
     def infer(self, label: str, optima: list[Found]) -> Inferred:
         """Trajectories and evidence; each hypothesis has its own stream of random numbers."""
@@ -83,6 +84,13 @@ class Solving:
             flat = solution.state[:, model.columns["crowd"]].reshape(len(times), 2, n, 2)
             states[:, model.gate.planned] = np.concatenate([flat[:, 0], flat[:, 1]], axis=-1)
         return People(times, states, self.belief.radii)
+
+    def check(self, solution: Solution) -> Check:
+        """The hard check, made once."""
+        if solution not in self.checks:
+            robot, people = self.robot(solution), self.people(solution)
+            self.checks[solution] = check(self.scenario, robot, people)
+        return self.checks[solution]
 
     def left_out(self, people: People) -> float:
         """What the density leaves out at these people's trajectories [nats]."""
@@ -153,8 +161,7 @@ def _first_feasible(solving: Solving, optima: list[Found]) -> tuple[Found, Check
     """The best optimum that passes the hard check, else the best."""
     checked = []
     for optimum in optima:
-        robot = solving.robot(optimum.solution)
-        result = check(solving.scenario, robot, solving.people(optimum.solution))
+        result = solving.check(optimum.solution)
         if result.feasible:
             return optimum, result
         checked.append((optimum, result))

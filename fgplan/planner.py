@@ -47,7 +47,7 @@ def plan(
     *,
     belief: Belief | None = None,
     factors: Iterable[gtsam.NonlinearFactor] = (),
-    solver: Solver = SecondOrder(),  # noqa: B008 - frozen
+    solver: Solver | None = None,
     select: selection.Rule = selection.height,
     hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = operated(hypothesise),  # noqa: B008
     warm: Mixture | None = None,
@@ -63,7 +63,8 @@ def plan(
         belief: The people now, from a tracker of yours; None derives it from the tracks of those
             whom the robot sees.
         factors: Your own GTSAM factors on the variables of `fgplan.keys`.
-        solver: `SecondOrder()`, or `GtsamLM()` for GTSAM's own optimiser.
+        solver: `SecondOrder()` by default, which follows optima that could win or, where the
+            inference gives an evidence, be a part of it; or `GtsamLM()`, GTSAM's own optimiser.
         select: `selection.height` (default) or `selection.mass`; both are always reported.
         hypotheses: Where the global plans come from; by default the routes to the goal, and what
             the operator points at and none of them leads to.
@@ -103,7 +104,17 @@ def plan(
     before = shifted(warm, scenario, scenario.now - warm.now) if warm is not None else ()
     end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
-    searched = search(assembly, proposed, solver, before, end - RESERVE * (deadline or 0.0))
+    if solver is None:
+        solver = SecondOrder(margin=0.0) if isinstance(inference, MAP) else SecondOrder()
+    solving = [Solving(scenario, belief, assembly, i) for i in range(len(proposed))]
+    searched = search(
+        assembly,
+        proposed,
+        solver,
+        before,
+        end - RESERVE * (deadline or 0.0),
+        lambda i, solution: solving[i].check(solution).feasible,
+    )
     solved = perf_counter()
 
     total = sum(f.solution.iterations for f in searched.found) or 1
@@ -115,8 +126,10 @@ def plan(
             finished = i not in searched.unfinished | searched.dropped
             # What is left of the reserve must do for the check and the action.
             weigh = inference if perf_counter() < end - 0.5 * RESERVE * (deadline or 0.0) else MAP()
-            solving = Solving(scenario, belief, assembly, i, finished, weigh, seed, progress)
-            components.append(component_of(solving, hypothesis, own, seconds))
+            own_solving = replace(
+                solving[i], finished=finished, inference=weigh, seed=seed, progress=progress
+            )
+            components.append(component_of(own_solving, hypothesis, own, seconds))
     if not components:
         labels = [h.label for h in proposed]
         raise NoPlan(f"none of {labels} has a finite posterior", searched.found)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -25,11 +26,22 @@ AT_ONCE = 8
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where one start of one hypothesis ended."""
+    """Where one start of one hypothesis ended; `rank` is its place among the starts."""
 
     which: int
+    rank: int
     label: str
     solution: Solution
+
+
+@dataclass(frozen=True, eq=False)
+class _Begin:
+    """A start, or where one is to go on: its hypothesis, place, label and state (T + 1, D)."""
+
+    which: int
+    rank: int
+    label: str
+    state: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +65,14 @@ def search(
     solver: Solver,
     warm: Sequence[Start] = (),
     until: float = np.inf,
+    usable: Callable[[int, Solution], bool] = lambda which, solution: True,
 ) -> Search:
     """Solve the starts of all hypotheses.
 
     Without a deadline all starts are solved together. With one they are solved in turns: first
     the most promising start of each hypothesis (a warm one, if any), so that there is something
-    to compare; then, while time is left, the next one of each that can still win.
+    to compare; then, while time is left, more and more of those that can still win. Whoever was
+    given up for a better start is followed after all where no better one is of use.
 
     Args:
         assembly: The density, one model per hypothesis.
@@ -66,33 +80,37 @@ def search(
         solver: How a start is solved.
         warm: Starts from the previous plan; each hypothesis takes the best of them.
         until: When to stop, on the clock of `time.perf_counter` [s].
+        usable: Whether an optimum of a hypothesis may be followed, as far as the caller knows.
     """
-    queue = [
-        [
-            *_warmest(assembly, i, warm),
-            *((s.label, assembly.models[i].initial(s)) for s in h.starts),
-        ]
-        for i, h in enumerate(hypotheses)
-    ]
     indices = range(len(hypotheses))
-    if np.isinf(until):
-        every = [(i, *start) for i in indices for start in queue[i]]
-        return Search(_solve(assembly, solver, every), frozenset(), frozenset())
+    queue = [_queue(assembly, i, h, warm) for i, h in enumerate(hypotheses)]
     found: list[Found] = []
     dropped: set[int] = set()
-    for turn in range(max(map(len, queue))):
-        starts = [
-            (i, *queue[i][turn]) for i in indices if i not in dropped and turn < len(queue[i])
-        ]
-        if turn > 0 and perf_counter() >= until:
-            late = {i for i, *_ in starts}
-            return Search(tuple(found), frozenset(dropped), _unended(found) | late)
+    late: set[int] = set()
+    for turn in _turns(max(map(len, queue)), np.isfinite(until)):
+        starts = [start for i in indices if i not in dropped for start in queue[i][turn]]
+        if turn.start > 0 and perf_counter() >= until:
+            late = {start.which for start in starts}
+            break
         if starts:
-            found += _solve(assembly, solver, starts, until)
-        if turn == 0 and len(hypotheses) > 1:
+            found = _joined(found, _solve(assembly, solver, starts + _best(found, dropped), until))
+        if turn.start == 0 and np.isfinite(until) and len(hypotheses) > 1:
             best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in found)
             dropped = {i for i in indices if hypotheses[i].log_prior - _bound(assembly, i) < best}
-    return Search(tuple(found), frozenset(dropped), _unended(found))
+    while perf_counter() < until:
+        again = _needed(found, usable)
+        if not again:
+            break
+        found = _joined(found, _solve(assembly, solver, again, until))
+    return Search(tuple(found), frozenset(dropped), _unended(found) | late)
+
+
+def _turns(longest: int, limited: bool) -> Iterator[slice]:
+    """Which starts of each hypothesis are solved together: all, or 1, 3 and then the rest."""
+    edges = [0, 1, 4, longest] if limited else [0, longest]
+    for a, b in pairwise(edges):
+        if a < longest:
+            yield slice(a, b)
 
 
 def worth_solving(
@@ -150,6 +168,15 @@ def shifted(previous: Mixture, scenario: Scenario, now: float) -> tuple[Start, .
     return tuple(starts)
 
 
+def _queue(
+    assembly: Assembly, i: int, hypothesis: Hypothesis, warm: Sequence[Start]
+) -> list[_Begin]:
+    """The starts of one hypothesis, the best of the warm ones first."""
+    model = assembly.models[i]
+    own = [(start.label, model.initial(start)) for start in hypothesis.starts]
+    return [_Begin(i, rank, *start) for rank, start in enumerate(_warmest(assembly, i, warm) + own)]
+
+
 def _warmest(assembly: Assembly, i: int, warm: Sequence[Start]) -> list[tuple[str, Array]]:
     """The warm start with the lowest energy under hypothesis i."""
     if not warm:
@@ -163,17 +190,56 @@ def _warmest(assembly: Assembly, i: int, warm: Sequence[Start]) -> list[tuple[st
 
 
 def _solve(
-    assembly: Assembly,
-    solver: Solver,
-    starts: Sequence[tuple[int, str, Array]],
-    until: float = np.inf,
-) -> tuple[Found, ...]:
-    which = np.array([i for i, _, _ in starts])
-    initial = np.stack([state for _, _, state in starts])
+    assembly: Assembly, solver: Solver, starts: Sequence[_Begin], until: float = np.inf
+) -> list[Found]:
+    which = np.array([start.which for start in starts])
+    initial = np.stack([start.state for start in starts])
     solutions = solver.solve(assembly, initial, which, until)
-    return tuple(
-        Found(i, label, solution) for (i, label, _), solution in zip(starts, solutions, strict=True)
-    )
+    return [
+        Found(s.which, s.rank, s.label, solution)
+        for s, solution in zip(starts, solutions, strict=True)
+    ]
+
+
+def _joined(before: Sequence[Found], after: Sequence[Found]) -> list[Found]:
+    """What was found before and now; who went on is there once, with all its iterations."""
+    joined = {(f.which, f.rank): f for f in before}
+    for f in after:
+        old = joined.get((f.which, f.rank))
+        if old is not None:
+            # An optimum stays one, whatever better one was found since.
+            end = old.solution if old.solution.converged else f.solution
+            spent = old.solution.iterations + f.solution.iterations
+            f = replace(f, solution=replace(end, iterations=spent))
+        joined[f.which, f.rank] = f
+    return list(joined.values())
+
+
+def _best(found: Sequence[Found], dropped: set[int]) -> list[_Begin]:
+    """The best of each hypothesis so far as a start: the next ones are compared with it."""
+    best: dict[int, Found] = {}
+    for f in found:
+        if f.solution.converged and f.which not in dropped:
+            old = best.get(f.which)
+            if old is None or f.solution.energy < old.solution.energy:
+                best[f.which] = f
+    return [_resumed(f) for f in best.values()]
+
+
+def _resumed(found: Found) -> _Begin:
+    return _Begin(found.which, found.rank, found.label, found.solution.state)
+
+
+def _needed(found: Sequence[Found], usable: Callable[[int, Solution], bool]) -> list[_Begin]:
+    """Starts that were given up, of the hypotheses in which nothing else is of use."""
+    given_up = [f for f in found if f.solution.stop is Stop.GIVEN_UP]
+    ended = [f for f in found if f.solution.stop not in (Stop.GIVEN_UP, Stop.MERGED)]
+    served = {
+        i
+        for i in {f.which for f in given_up}
+        if any(f.which == i and usable(i, f.solution) for f in ended)
+    }
+    return [_resumed(f) for f in given_up if f.which not in served]
 
 
 def _score(assembly: Assembly, found: Found) -> float:

@@ -107,7 +107,9 @@ def test_strided_blocks_give_the_same_numbers():
     np.testing.assert_allclose(one.solve(rhs), other.solve(rhs), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("D", "S", "B"), [(1, 4, 3), (3, 1, 2), (4, 25, 12), (5, 7, 4), (12, 3, 5)])
+@pytest.mark.parametrize(
+    ("D", "S", "B"), [(1, 4, 3), (3, 1, 2), (4, 25, 12), (5, 7, 4), (12, 3, 5)]
+)
 def test_many_chains_in_one_band_equal_dense_solves(D, S, B):
     rng = np.random.default_rng(D + S)
     chains = [chain(S, D, seed) for seed in range(B)]

@@ -66,7 +66,9 @@ def test_a_warm_start_needs_fewer_iterations_and_is_never_worse():
     assembly = Assembly(build(second, belief, only))
     warm = shifted(first, second, STEP)
     initial = np.stack([assembly.models[0].initial(s) for s in (only[0].starts[0], *warm)])
-    cold, *others = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, initial, np.zeros(3, dtype=int))
+    cold, *others = SecondOrder(meeting=0.0, patience=np.inf).solve(
+        assembly, initial, np.zeros(3, dtype=int)
+    )
     assert min(o.iterations for o in others) < cold.iterations
     both = search(assembly, only, SecondOrder(), warm)
     assert min(f.solution.energy for f in both.found if f.which == 0) <= cold.energy + 1e-9

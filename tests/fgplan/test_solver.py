@@ -145,7 +145,8 @@ def test_a_start_on_a_person_with_alpha_1_is_not_finite(solver):
 
 
 @pytest.mark.parametrize(
-    "solver", [SecondOrder(max_iterations=1, meeting=0.0, patience=np.inf), GtsamLM(max_iterations=1)]
+    "solver",
+    [SecondOrder(max_iterations=1, meeting=0.0, patience=np.inf), GtsamLM(max_iterations=1)],
 )
 def test_too_few_iterations_are_named(solver):
     assembly, hypotheses = assembled(random_scene(2, 3))
@@ -193,7 +194,9 @@ def test_the_energy_never_rises(seed):
     X = X + np.where(assembly.free, 0.3 * np.random.default_rng(seed).normal(size=X.shape), 0.0)
     before = assembly.energy(X, which)
     for limit in range(1, 16):
-        found = SecondOrder(max_iterations=limit, meeting=0.0, patience=np.inf).solve(assembly, X, which)
+        found = SecondOrder(max_iterations=limit, meeting=0.0, patience=np.inf).solve(
+            assembly, X, which
+        )
         energy = np.array([s.energy for s in found])
         assert np.all(energy <= before + 1e-9)  # rounding of sums of terms of the order 1e4
         states = np.stack([s.state for s in found])
@@ -228,7 +231,9 @@ def test_a_batch_ends_where_its_members_end_alone():
     X, which = initial(assembly, hypotheses)
     together = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X, which)
     for b, found in enumerate(together):
-        alone = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[b : b + 1], which[b : b + 1])[0]
+        alone = SecondOrder(meeting=0.0, patience=np.inf).solve(
+            assembly, X[b : b + 1], which[b : b + 1]
+        )[0]
         assert alone.stop is found.stop
         assert alone.iterations == found.iterations
         assert alone.energy == pytest.approx(found.energy, abs=1e-9)
