@@ -11,7 +11,7 @@ from fgplan.driving.pricing import Pricing
 from fgplan.driving.routing import Routing
 from fgplan.driving.tracking import Tracking
 from fgplan.inference import MAP, Inference
-from fgplan.solver import SecondOrder, Solver
+from fgplan.solver import Solver
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,6 @@ class Settings:
     pricing: Pricing = field(default_factory=Pricing)
     guard: Guard = field(default_factory=Guard)
     intake: Intake = field(default_factory=Intake)
-    solver: Solver = field(default_factory=SecondOrder)
+    solver: Solver | None = None
     select: selection.Rule = selection.height
     inference: Inference = field(default_factory=MAP)

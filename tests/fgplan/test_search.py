@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ import pytest
 from fgplan import Density, GivenPlan, Robot, Scenario, Track, plan
 from fgplan.assembly import Assembly
 from fgplan.hypotheses import hypothesise
-from fgplan.hypothesis import Start
+from fgplan.hypothesis import Hypothesis, Start
 from fgplan.model import build
 from fgplan.search import search, shifted
-from fgplan.solver import SecondOrder
+from fgplan.solver import SecondOrder, Solution, Stop
 from tests.scenes import believed
 
 STEP = 0.2
@@ -156,3 +157,55 @@ def test_a_warm_start_closes_the_gap_to_where_the_robot_really_is():
         np.testing.assert_allclose(start.robot.positions[0], scenario.robot.position, atol=1e-12)
         expected = component.robot.at(scenario.density.times[-1] + STEP)[:2]
         np.testing.assert_allclose(start.robot.positions[-1], expected, atol=1e-12)
+
+
+def crowded() -> tuple[Assembly, tuple[Hypothesis, ...]]:
+    """One hypothesis, a person in the way, and starts that end in several optima."""
+    scenario = fork("abc")
+    belief = believed(scenario)
+    hypotheses = hypothesise(scenario, belief)[:1]
+    return Assembly(build(scenario, belief, hypotheses)), hypotheses
+
+
+def test_who_is_given_up_would_have_ended_higher():
+    assembly, hypotheses = crowded()
+    margin = 0.5
+    some = search(assembly, hypotheses, SecondOrder(meeting=0.0, margin=margin)).found
+    every = search(assembly, hypotheses, SecondOrder(meeting=0.0, patience=np.inf)).found
+    end = {f.rank: f.solution.energy for f in every}
+    given_up = [f for f in some if f.solution.stop is Stop.GIVEN_UP]
+    assert given_up
+    assert min(f.solution.energy for f in some) == pytest.approx(min(end.values()), abs=1e-6)
+    for f in given_up:
+        assert end[f.rank] > min(end.values()) + margin
+        assert f.solution.energy >= end[f.rank] - 1e-9
+
+
+def test_who_was_given_up_is_followed_where_nothing_better_is_of_use():
+    assembly, hypotheses = crowded()
+    solver = SecondOrder(meeting=0.0, margin=0.5)
+    lowest = min(f.solution.energy for f in search(assembly, hypotheses, solver).found)
+    every = search(assembly, hypotheses, SecondOrder(meeting=0.0, patience=np.inf)).found
+    higher = min(f.solution.energy for f in every if f.solution.energy > lowest + 0.5)
+
+    def usable(which: int, solution: Solution) -> bool:
+        return solution.energy > lowest + 0.5
+
+    found = search(assembly, hypotheses, solver, usable=usable).found
+    assert sorted(f.rank for f in found) == sorted(f.rank for f in every)
+    best = min((f for f in found if usable(0, f.solution)), key=lambda f: f.solution.energy)
+    assert best.solution.converged
+    assert best.solution.energy == pytest.approx(higher, abs=1e-6)
+
+
+def test_turns_under_a_deadline_find_what_all_at_once_find():
+    assembly, hypotheses = crowded()
+    solver = SecondOrder(margin=0.0)
+    together = search(assembly, hypotheses, solver)
+    in_turns = search(assembly, hypotheses, solver, until=perf_counter() + 60.0)
+    assert [f.rank for f in sorted(in_turns.found, key=lambda f: f.rank)] == list(
+        range(len(hypotheses[0].starts))
+    )
+    assert min(f.solution.energy for f in in_turns.found) == pytest.approx(
+        min(f.solution.energy for f in together.found), abs=1e-6
+    )
