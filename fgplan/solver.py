@@ -113,7 +113,7 @@ class SecondOrder:
         iterations = np.zeros(B, dtype=int)
         decrement = np.full(B, np.inf)
         energy = assembly.energy(X, which)
-        last = np.zeros_like(X)
+        last, stuck = np.zeros_like(X), np.zeros(B, dtype=bool)
         active = np.flatnonzero(np.isfinite(energy))
         for b in np.flatnonzero(~np.isfinite(energy)).tolist():
             stop[b] = Stop.NOT_FINITE
@@ -128,7 +128,7 @@ class SecondOrder:
                     stop[b] = Stop.DEADLINE
                 break
             began = now
-            way = _directions(assembly, X[active], which[active])
+            way = _directions(assembly, X[active], which[active], stuck[active])
             iterations[active] += 1
             decrement[active], energy[active] = way.promised, way.expansion.energy
             done = way.promised < self.tolerance
@@ -146,10 +146,15 @@ class SecondOrder:
             on = active[going[moved]]
             X[on] = assembly.moved(X[on], length[moved, None, None] * way.step[going[moved]])
             energy[active[going]] = reached
+            ahead = way.newton[going]
             for b, i in zip(active[going[~moved]].tolist(), going[~moved].tolist(), strict=True):
-                # Nothing is lower, as far as rounding tells.
-                sharp = way.minimum[i] and way.promised[i] < 1e-6
-                stop[b] = Stop.CONVERGED if sharp else Stop.NO_DESCENT
+                if way.promised[i] < 1e-6:  # nothing is lower, as far as rounding tells
+                    stop[b] = Stop.CONVERGED if way.minimum[i] else Stop.SADDLE
+                elif not way.newton[i]:
+                    stop[b] = Stop.NO_DESCENT
+            # Where Newton's step leads nowhere Gauss-Newton's may.
+            stuck[active[going]] = again = ~moved & ahead & (way.promised[going] >= 1e-6)
+            on = np.sort(np.concatenate([on, active[going[again]]]))
             active = self._apart(X, energy, which, on, stop)
         end = assembly.moved(X, last)
         before, after = assembly.energy(X, which), assembly.energy(end, which)
@@ -253,25 +258,31 @@ def factor_hessian(assembly: Assembly, state: Array, which: int) -> Factor | Non
 @dataclass(frozen=True, eq=False)
 class _Directions:
     """Where to go from B states: steps (B, S, D), what they promise (B,) [nats], whether the true
-    Hessian is positive definite (B,), and the expansion they come from."""
+    Hessian is positive definite (B,), whether the step is Newton's (B,), and the expansion they
+    come from."""
 
     step: Array
     promised: Array
     minimum: NDArray[np.bool_]
+    newton: NDArray[np.bool_]
     expansion: Quadratic
 
 
-def _directions(assembly: Assembly, X: Array, which: Index) -> _Directions:
+def _directions(
+    assembly: Assembly, X: Array, which: Index, stuck: NDArray[np.bool_] | None = None
+) -> _Directions:
+    """Newton's steps; Gauss–Newton's where the true Hessian is not positive definite, and for
+    those that are stuck."""
     q = assembly.expand(X, which)
     step, minimum = q.newton(np.arange(len(X)))
-    found = minimum.copy()
-    if not minimum.all():
-        rows = np.flatnonzero(~minimum)
+    newton = minimum if stuck is None else minimum & ~stuck
+    found = newton.copy()
+    if not newton.all():
+        rows = np.flatnonzero(~newton)
         flat = assembly.gauss_newton(X[rows], which[rows])
-        # The gradient is the same; the Gauss–Newton Hessian is positive definite with the prior.
         step[rows], found[rows] = flat.newton(np.arange(len(rows)))
     promised = -0.5 * np.einsum("bsd,bsd->b", q.gradient, step)
-    return _Directions(step, np.where(found, promised, np.inf), minimum, q)
+    return _Directions(step, np.where(found, promised, np.inf), minimum, newton, q)
 
 
 FULL_STEP = 0.5
