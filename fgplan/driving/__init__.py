@@ -1,8 +1,19 @@
 """Driving: what is seen now goes in, what to do now comes out, many times a second."""
 
 from fgplan.driving.memory import Memory
-from fgplan.driving.observation import Decision, Detection, Observation, Outcome
+from fgplan.driving.observation import Decision, Detection, Intent, Observation, Outcome
+from fgplan.driving.operating import CandidateGoals
 from fgplan.driving.planner import Planner
 from fgplan.driving.settings import Settings
 
-__all__ = ["Decision", "Detection", "Memory", "Observation", "Outcome", "Planner", "Settings"]
+__all__ = [
+    "CandidateGoals",
+    "Decision",
+    "Detection",
+    "Intent",
+    "Memory",
+    "Observation",
+    "Outcome",
+    "Planner",
+    "Settings",
+]

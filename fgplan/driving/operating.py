@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.residual import whitener
 from fgplan.crowd import Belief
 from fgplan.driving.observation import Intent
 from fgplan.driving.proposals import route
@@ -88,6 +89,8 @@ class Operated:
         plans: Of each hypothesis by the name of its route: when it was made [s], and the plan.
         met: Names of waypoints that were reached.
         via: The way through the waypoints, for which of them, and when it was searched [s].
+        closest: When the robot was nearest to each place without a time [s], and how near, in
+            standard deviations.
         best: What the operator most probably wants, and since when it has been certain [s].
     """
 
@@ -95,6 +98,7 @@ class Operated:
     plans: Mapping[str, tuple[tuple[float, Trajectory], ...]] = field(default_factory=dict)
     met: tuple[str, ...] = ()
     via: tuple[Way | None, bytes, float] = (None, b"", -np.inf)
+    closest: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
     best: tuple[str, float] | None = None
 
     def hear(
@@ -103,9 +107,11 @@ class Operated:
         """With new data, without what is over, and what was refused or cannot be done."""
         admitted = admit(said, scenario)
         horizon = LENGTHS * max(level.length for level in scenario.levels)
-        kept = [m for m in self.data if not _over(m, scenario.now - horizon)]
+        closest = self._approach(scenario, (*self.data, *admitted.data))
         data, met = [], []
-        for measurement in (*kept, *admitted.data):
+        for measurement in (*self.data, *admitted.data):
+            if _over(measurement, closest, scenario.now - horizon):
+                continue
             if isinstance(measurement, Waypoint) and _is_met(measurement, scenario):
                 met.append(measurement.name)
             else:
@@ -114,7 +120,23 @@ class Operated:
             data.pop(0)
         notes = (*admitted.notes, *(f"{name} is reached" for name in met))
         plans = self.plans if data else {}
-        return replace(self, data=tuple(data), plans=plans, met=(*self.met, *met)), notes
+        heard = replace(self, data=tuple(data), plans=plans, closest=closest)
+        return replace(heard, met=(*self.met, *met)), notes
+
+    def _approach(
+        self, scenario: Scenario, data: Iterable[Measurement]
+    ) -> dict[tuple[int, int], tuple[float, float]]:
+        """`closest` with where the robot is now."""
+        found = {}
+        for measurement in data:
+            for j, reading in enumerate(measurement.readings):
+                if reading.time is None:
+                    key = (id(measurement), j)
+                    off = whitener(reading.covariance) @ (scenario.robot.position - reading.value)
+                    here = (scenario.now, float(np.hypot(*off)))
+                    known = self.closest.get(key, here)
+                    found[key] = here if here[1] <= known[1] else known
+        return found
 
     def seek(self, scenario: Scenario, leads: Sequence[Lead], routing: Routing) -> Operated:
         """With the way through the waypoints from where the robot is, where no known one leads."""
@@ -147,10 +169,10 @@ class Operated:
     ) -> Operated:
         """With the plans of this step, as long as there is data that they may be compared with."""
         now = scenario.now
-        readings = [r for m in self.data for r in m.readings]
-        if not any(r.time is not None and r.time >= now for r in readings):
+        times = [r.time for m in self.data for r in m.readings if r.time is not None]
+        if not (self.closest or any(t >= now for t in times)):
             return self
-        oldest = min((r.time for r in readings if r.time is not None), default=now)
+        oldest = min([now, *times, *(time for time, _ in self.closest.values())])
         plans = dict(self.plans)
         for h in hypotheses:
             name = route(h.label)
@@ -223,10 +245,16 @@ class CandidateGoals:
         return found
 
 
-def _over(measurement: Measurement, oldest: float) -> bool:
-    """Whether all of its readings are older than that; places without a time are never over."""
-    times = [reading.time for reading in measurement.readings]
-    return bool(times) and all(t is not None and t < oldest for t in times)
+def _over(
+    measurement: Measurement, closest: Mapping[tuple[int, int], tuple[float, float]], oldest: float
+) -> bool:
+    """Whether all it says is of before a time: of a place without one, when the robot was nearest
+    to it."""
+    times = [
+        closest[id(measurement), j][0] if reading.time is None else reading.time
+        for j, reading in enumerate(measurement.readings)
+    ]
+    return bool(times) and max(times) < oldest
 
 
 def _is_met(waypoint: Waypoint, scenario: Scenario) -> bool:

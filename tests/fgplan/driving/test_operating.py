@@ -1,0 +1,207 @@
+"""The operator in closed loop: commits, does not turn back, and nothing of it is invented."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fgplan import Density, OccupancyGrid, Robot, Scenario
+from fgplan.conditioning import log_likelihood
+from fgplan.driving import CandidateGoals, Observation, Outcome, Planner, Settings
+from fgplan.driving.operating import Operated, Remembered
+from fgplan.shared_control import VIA, Candidate, Joystick, Waypoint
+from fgplan.trajectory import Trajectory
+
+PERIOD = 0.2
+SETTINGS = Settings(period=PERIOD, deadline=None)
+DENSITY = Density(dt=0.4, horizon=4.0)
+TWINS = OccupancyGrid.from_polygons(
+    [[(3.0, -1.0), (8.0, -1.0), (8.0, 1.0), (3.0, 1.0)]], (-1, -2.5, 12, 2.5), 0.1, border=True
+)
+
+
+class Drive:
+    """A holonomic robot that does what it is told, and an operator."""
+
+    def __init__(self, planner, say=lambda t, position: ()):
+        self.planner, self.say = planner, say
+        self.position, self.velocity, self.time = np.zeros(2), np.zeros(2), 0.0
+        self.decisions, self.positions = [], []
+
+    def run(self, duration):
+        while self.time < duration - 1e-9:
+            said = self.say(self.time, self.position)
+            observation = Observation(
+                self.time, self.position.copy(), self.velocity.copy(), operator=said
+            )
+            decision = self.planner.step(observation)
+            self.velocity = decision.action.velocity
+            self.position = self.position + PERIOD * self.velocity
+            self.time = round(self.time + PERIOD, 6)
+            self.decisions.append(decision)
+            self.positions.append(self.position)
+        return self
+
+    @property
+    def labels(self):
+        return [decision.label for decision in self.decisions]
+
+
+def planner(sources=(), **changes):
+    fields = {"goal": np.array([11.0, 0.0]), "grid": TWINS, "density": DENSITY, **changes}
+    robot = Robot(np.zeros(2), max_speed=1.0, max_acceleration=1.0)
+    return Planner(Scenario(robot, crowd="predicted", **fields), SETTINGS, sources)
+
+
+def stick(degrees, t, sigma=0.2, speed=0.9):
+    a = np.deg2rad(degrees)
+    return Joystick(t, speed * np.array([np.cos(a), np.sin(a)]), sigma**2 * np.eye(2))
+
+
+def held(degrees, first, last, **how):
+    return lambda t, position: (stick(degrees, t, **how),) if first <= t < last else ()
+
+
+def side(label, decision):
+    """+1 where a route passes above the block."""
+    route = next(c.route for c in decision.mixture.components if c.label == label)
+    return np.sign(route[np.argmin(np.abs(route[:, 0] - 5.5)), 1])
+
+
+def test_the_robot_commits_to_the_operators_corridor_and_does_not_turn_back():
+    alone = Drive(planner()).run(1.0)
+    first = alone.labels[-1]
+    other = -side(first, alone.decisions[-1])
+    steered = Drive(planner(), held(30 * other, 1.0, 2.4)).run(6.0)
+    assert steered.labels[4] == first
+    committed = [label != first for label in steered.labels[5:]]
+    assert committed.index(True) <= 1.0 / PERIOD
+    assert all(committed[committed.index(True) :])
+    assert other * steered.position[1] > 1.0
+    switches = [d for d in steered.decisions if d.outcome is Outcome.SWITCHING]
+    assert len(switches) == 1
+
+
+def test_the_choice_is_the_closed_form():
+    """log w_A − log w_B = −β (J_A − J_B) ± commitment + log p(z | A) − log p(z | B), each datum on
+    the plans that A and B had at its time."""
+    drive = Drive(planner(), held(-30, 0.4, 1.2)).run(2.4)
+    decision, memory = drive.decisions[-1], drive.planner.memory
+    assert decision.mixture is not None
+    a, b = (next(c for c in decision.mixture.components if c.label == n) for n in ("A", "B"))
+    readings = [r for m in memory.operated.data for r in m.readings]
+    likelihood = {}
+    for label in ("A", "B"):
+        plans = memory.operated.plans[label]
+        starts = np.array([start for start, _ in plans])
+        # The oldest data was measured when the hypothesis had its first plan that is remembered.
+        likelihood[label] = sum(
+            log_likelihood((r,), plans[k][1], plans[k][0])
+            for r in readings
+            for k in [max(int(np.searchsorted(starts, r.time, side="right")) - 1, 0)]
+            if r.time < decision.time or plans[k][0] == decision.time
+        )
+    assert likelihood["A"] != pytest.approx(likelihood["B"], abs=1)
+    followed = drive.labels[-2]
+    price = -DENSITY.beta * (a.cost - b.cost)
+    price += SETTINGS.commitment * ((followed == "A") - (followed == "B"))
+    expected = price + likelihood["A"] - likelihood["B"]
+    assert a.log_prior - b.log_prior == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_large_gap_in_cost_outweighs_a_vague_operator():
+    """The corridor the operator points at is closed far behind: what the data weighs is less."""
+    walls = [
+        [(3.0, -1.0), (8.0, -1.0), (8.0, 1.0), (3.0, 1.0)],
+        [(6.0, -3.0), (6.5, -3.0), (6.5, -1.0), (6.0, -1.0)],
+    ]
+    dead_end = OccupancyGrid.from_polygons(walls, (-1, -2.5, 12, 2.5), 0.1, border=True)
+    drive = Drive(planner(grid=dead_end), held(-30, 0.4, 1.2, sigma=2.0)).run(6.0)
+    assert drive.position[1] > 1.0
+
+
+def test_a_waypoint_is_passed_within_its_sigma_and_reported():
+    place = np.array([1.5, -1.6])
+    waypoint = Waypoint(place, 0.3**2 * np.eye(2), name="window")
+    drive = Drive(planner(), lambda t, p: (waypoint,) if t == 0.4 else ()).run(9.0)
+    gaps = np.linalg.norm(np.array(drive.positions) - place, axis=1)
+    assert gaps.min() < 0.3
+    reports = [repair for d in drive.decisions for repair in d.repairs]
+    assert reports == ["window is reached"]
+    assert drive.planner.memory.operated.met == ("window",)
+    assert VIA in drive.labels
+    assert drive.position[0] > 5.0  # and on to the goal
+
+
+def test_an_impossible_waypoint_is_reported_by_name_and_the_goal_is_reached():
+    inside = Waypoint(np.array([5.0, 0.0]), 0.3**2 * np.eye(2), name="pillar")
+    drive = Drive(planner(), lambda t, p: (inside,) if t == 0.4 else ()).run(14.0)
+    reports = [repair for d in drive.decisions for repair in d.repairs]
+    assert len(reports) == 1
+    assert "pillar" in reports[0]
+    assert "inside an obstacle" in reports[0]
+    assert drive.decisions[-1].outcome is Outcome.GOAL_REACHED
+
+
+def test_bad_data_is_refused_and_the_plan_goes_on_as_without_it():
+    bad = (
+        Joystick(0.4, np.array([np.nan, 1.0]), np.eye(2)),
+        Joystick(9.0, np.array([0.5, 0.0]), np.eye(2)),
+        Waypoint(np.array([1.0, 1.0]), np.diag([1.0, -1.0])),
+    )
+    told = Drive(planner(), lambda t, p: bad if t == 0.4 else ()).run(2.0)
+    alone = Drive(planner()).run(2.0)
+    assert len(told.decisions[2].repairs) == 3
+    assert all("refused" in repair for repair in told.decisions[2].repairs)
+    np.testing.assert_array_equal(told.positions, alone.positions)
+
+
+def test_without_a_goal_the_operator_reveals_it():
+    candidates = [
+        Candidate("left", np.array([10.0, 2.0])), Candidate("right", np.array([10.0, -2.0])),
+        Candidate("behind", np.array([-0.6, 2.0])),
+    ]  # fmt: skip
+    source = CandidateGoals(candidates)
+    drive = Drive(planner((source,), goal=None), held(-35, 0.4, 2.0)).run(4.0)
+    intents = [d.intent for d in drive.decisions if d.intent is not None]
+    assert intents[-1].best == "right"
+    assert intents[-1].probability["right"] > 0.9
+    assert intents[-1].since is not None
+    assert 0.4 <= intents[-1].since <= 1.6
+    assert drive.position[1] < -0.5
+    assert drive.decisions[0].intent is None
+
+
+def test_a_stick_that_is_let_go_leaves_nothing_behind_in_the_end():
+    drive = Drive(planner(), held(-30, 0.0, 0.4)).run(1.0)
+    operated = drive.planner.memory.operated
+    assert operated.data
+    scenario = drive.planner.memory.scenario
+    later, _ = operated.hear((), scenario.replace(now=60.0))
+    assert later.data == ()
+    assert dict(later.plans) == {}
+
+
+def test_the_course_of_a_hypothesis_is_the_plan_of_each_time():
+    times = np.array([0.0, 1.0, 2.0])
+
+    def going(x, v):
+        return Trajectory(
+            times, np.column_stack([x + v * times, 0 * times]), np.tile([v, 0.0], (3, 1))
+        )
+
+    course = Remembered(np.array([-2.0, -0.5, 0.0]), (going(0, 1.0), going(5, 2.0), going(9, 3.0)))
+    np.testing.assert_allclose(course.at(np.array([-3.0, -2.0, -1.0]))[:, 0], [-1, 0, 1])
+    np.testing.assert_allclose(course.at(-0.5), [5, 0, 2, 0])
+    np.testing.assert_allclose(course.at(np.array([[0.0, 1.5]]))[0, :, 2], 3.0)
+    np.testing.assert_allclose(course.times, [-2.0, -0.5, 0.0, 1.0, 2.0])
+
+
+def test_memory_is_bounded():
+    scenario = planner().memory.scenario
+    operated = Operated()
+    for k in range(300):
+        now = scenario.replace(now=0.1 * k)
+        operated, _ = operated.hear((stick(10, 0.1 * k),), now)
+    assert sum(len(m.readings) for m in operated.data) <= 400
+    assert operated.data[-1].time == pytest.approx(29.9)
