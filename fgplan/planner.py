@@ -87,6 +87,8 @@ def plan(
         NoPlan: no hypothesis has a finite posterior.
     """
     began = perf_counter()
+    if solver is None:
+        solver = SecondOrder(margin=0.0) if isinstance(inference, MAP) else SecondOrder()
     validate(scenario)
     d = scenario.density
     if belief is None:
@@ -104,8 +106,6 @@ def plan(
     before = shifted(warm, scenario, scenario.now - warm.now) if warm is not None else ()
     end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
-    if solver is None:
-        solver = SecondOrder(margin=0.0) if isinstance(inference, MAP) else SecondOrder()
     solving = [Solving(scenario, belief, assembly, i) for i in range(len(proposed))]
     searched = search(
         assembly,

@@ -135,10 +135,7 @@ def worth_solving(
         some = [i for i in order[at : at + AT_ONCE] if reach[i] >= best]
         if not some:
             break
-        starts = [
-            (i, hypotheses[i].starts[0].label, assembly.models[i].initial(hypotheses[i].starts[0]))
-            for i in some
-        ]
+        starts = [_queue(assembly, i, hypotheses[i], ())[0] for i in some]
         for f in _solve(assembly, solver, starts):
             score = hypotheses[f.which].log_prior - _score(assembly, f)
             best = max(best, score if np.isfinite(score) else -np.inf)
