@@ -20,6 +20,7 @@ import typer
 
 from fgplan import selection
 from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace
+from fgplan.inference.laplace import QUICK
 from fgplan.mixture import Component, Mixture
 from fgplan.planner import plan
 from fgplan.scenario import Scenario
@@ -89,7 +90,7 @@ class InferenceName(StrEnum):
 
 
 METHODS: dict[InferenceName | None, Inference] = {
-    None: Laplace(check=0),
+    None: QUICK,
     InferenceName.MAP: MAP(),
     InferenceName.LAPLACE: Laplace(),
     InferenceName.IMPORTANCE: Importance(),

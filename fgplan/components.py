@@ -12,7 +12,7 @@ from fgplan.crowd import Belief
 from fgplan.gating import left_out_energy
 from fgplan.hypothesis import Hypothesis
 from fgplan.inference.base import Inference, Inferred, Progress
-from fgplan.inference.laplace import Laplace
+from fgplan.inference.laplace import QUICK
 from fgplan.mixture import Component
 from fgplan.model import Model
 from fgplan.safety import Check, People, check
@@ -46,7 +46,7 @@ class Solving:
     assembly: Assembly
     which: int
     finished: bool = True
-    inference: Inference = Laplace(check=0)  # noqa: RUF009 - frozen
+    inference: Inference = QUICK
     seed: int = 0
     progress: Progress | None = None
     checks: dict[Solution, Check] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from fgplan.errors import NoPlan
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
 from fgplan.inference.base import Inference, Progress
-from fgplan.inference.laplace import Laplace
+from fgplan.inference.laplace import QUICK
 from fgplan.inference.map import MAP
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
@@ -52,7 +52,7 @@ def plan(
     hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = operated(hypothesise),  # noqa: B008
     warm: Mixture | None = None,
     deadline: float | None = None,
-    inference: Inference = Laplace(check=0),  # noqa: B008 - frozen
+    inference: Inference = QUICK,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Mixture:

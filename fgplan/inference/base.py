@@ -132,12 +132,17 @@ class Inferred:
     @cached_property
     def mean(self) -> Array:
         """Shape (S, D)."""
-        return np.asarray(np.einsum("n,nsd->sd", self.weights, self.states))
+        return np.asarray(np.einsum("n,nsd->sd", self.weights, self._centres))
+
+    @property
+    def _centres(self) -> Array:
+        """The states, or the means of what surrounds them."""
+        return np.stack([g.mean for g in self.gaussians]) if self.gaussians else self.states
 
     @cached_property
     def covariance(self) -> Array:
         """Of the flattened trajectory, shape (S·D, S·D)."""
-        d = (self.states - self.mean).reshape(len(self.states), -1)
+        d = (self._centres - self.mean).reshape(len(self.states), -1)
         spread = (self.weights[:, None] * d).T @ d
         for weight, gaussian in zip(self.weights, self.gaussians, strict=False):
             spread += weight * gaussian.covariance

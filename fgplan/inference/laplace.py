@@ -13,7 +13,7 @@ from fgplan.assembly import Assembly
 from fgplan.inference.base import HEAVY_TAIL, Diagnostics, Inferred, Progress, Seed
 from fgplan.inference.diagnostics import kish, pareto_shape
 from fgplan.inference.importance import log_mean, weigh
-from fgplan.inference.modes import modes, proposal
+from fgplan.inference.modes import Limits, modes, proposal
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -29,22 +29,28 @@ class Laplace:
     H_j is the true Hessian: the Gauss–Newton one would misrank hypotheses by more than a nat. The
     masses of distinct optima are summed, which counts twice what two of them share.
 
-    What it cannot see (skewness, a hinge that acts on one side only, modes that no start led to)
-    a few draws can: `check` compares log Z with importance sampling around the same Gaussians. The
-    difference is the error that is reported.
+    The robot's limits act on one side only, which no Hessian sees: they are propagated by default
+    (`fgplan.inference.limits`), in place of their curvature.
+
+    What it cannot see (skewness, a wall or a contact that only just touches, modes that no start
+    led to) a few draws can: `check` compares log Z with importance sampling around the same
+    Gaussians. The difference is the error that is reported.
 
     Args:
         modes: "all" optima, or only the "best".
         check: Draws of that comparison; 0 for none, and no error then.
         tolerance: Largest difference that is not worth a warning [nats].
+        limits: Of the robot: "propagated", or by their "curvature" at the optimum: faster, and far
+            too high where an optimum keeps a limit only just.
 
     Raises:
-        ValueError: a negative number of draws, or an unknown choice of modes.
+        ValueError: a negative number of draws, or an unknown choice.
     """
 
     modes: Literal["all", "best"] = "all"
     check: int = 2000
     tolerance: float = 0.25
+    limits: Limits = "propagated"
     name: str = "laplace"
 
     def __post_init__(self) -> None:
@@ -52,6 +58,8 @@ class Laplace:
             raise ValueError(f"check must not be negative, got {self.check}")
         if self.modes not in ("all", "best"):
             raise ValueError(f"modes must be 'all' or 'best', got {self.modes!r}")
+        if self.limits not in ("propagated", "curvature"):
+            raise ValueError(f"limits must be 'propagated' or 'curvature', got {self.limits!r}")
 
     def infer(
         self,
@@ -63,7 +71,7 @@ class Laplace:
     ) -> Inferred:
         best = min(optima, key=lambda o: o.energy)
         used = list(optima) if self.modes == "all" else [best]
-        found = modes(assembly, which, used)
+        found = modes(assembly, which, used, self.limits)
         warnings = []
         if len(used) < len(optima):
             warnings.append(f"one mode of {len(optima)}")
@@ -120,6 +128,10 @@ class Laplace:
         return float(np.hypot(off, sampling_error)), numbers, doubts
 
 
+QUICK = Laplace(check=0, limits="curvature")
+"""What `fgplan.plan` uses unless told otherwise: milliseconds, and no word about its error."""
+
+
 def mode_evidence(assembly: Assembly, solution: Solution, which: int) -> float | None:
     r"""log Z by Laplace's method with the true Hessian H of −log p.
 
@@ -135,5 +147,5 @@ def mode_evidence(assembly: Assembly, solution: Solution, which: int) -> float |
         The log evidence of this one mode; None where the Hessian is not positive definite, which
         is to say where the point is not a minimum.
     """
-    found = modes(assembly, which, [solution])
+    found = modes(assembly, which, [solution], "curvature")
     return found[0].log_mass if found else None

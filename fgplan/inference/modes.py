@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly
 from fgplan.inference.gaussian import Blend, Gaussian, at_mode, average_curvature, blend, linear
+from fgplan.inference.limits import moderated
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -18,22 +19,31 @@ NEGLIGIBLE = 20.0
 """An optimum this many nats above the best adds nothing to the evidence."""
 
 
+Limits = Literal["propagated", "curvature"]
+"""How the robot's limits are seen around an optimum: as they are, by expectation propagation
+(`limits.moderated`), or by their curvature there, which is none where a limit is kept."""
+
+
 class Mode(NamedTuple):
-    """A local optimum, Laplace's Gaussian there, and the log of its mass."""
+    """A local optimum, the Gaussian there, and the log of its mass."""
 
     solution: Solution
     gaussian: Gaussian
     log_mass: float
 
 
-def modes(assembly: Assembly, which: int, optima: Sequence[Solution]) -> tuple[Mode, ...]:
-    r"""Every optimum that matters and is one: log mass = log p(x*) + (d/2) log 2π − ½ log det H.
+def modes(
+    assembly: Assembly, which: int, optima: Sequence[Solution], limits: Limits = "propagated"
+) -> tuple[Mode, ...]:
+    r"""Every optimum that matters and is one: log mass = log p(x*) + (d/2) log 2π − ½ log det H,
+    and where limits are propagated what they change of it.
 
     Args:
         assembly: The density.
         which: The hypothesis.
         optima: Its distinct local optima; those without a positive definite Hessian are left out,
             and those `NEGLIGIBLE` nats above the best.
+        limits: How the robot's limits are seen.
     """
     lowest = min(o.energy for o in optima)
     found = []
@@ -41,9 +51,12 @@ def modes(assembly: Assembly, which: int, optima: Sequence[Solution]) -> tuple[M
         if not optimum.energy < lowest + NEGLIGIBLE:
             continue
         gaussian = at_mode(assembly, optimum.state, which)
-        if gaussian is not None:
-            log_density = assembly.models[which].log_normalizer - optimum.energy
-            found.append(Mode(optimum, gaussian, log_density + gaussian.log_volume))
+        if gaussian is None:
+            continue
+        log_mass = gaussian.log_volume - optimum.energy
+        if limits == "propagated":
+            gaussian, log_mass = moderated(assembly, optimum.state, which) or (gaussian, log_mass)
+        found.append(Mode(optimum, gaussian, assembly.models[which].log_normalizer + log_mass))
     return tuple(found)
 
 
