@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ class SpeedLimit(Residual):
     Raises:
         ValueError: limit or weight is negative, sigma is not positive, or dim is odd.
     """
+
+    convex: ClassVar[bool] = True
 
     limit: float
     sigma: float
@@ -89,6 +92,8 @@ class AccelerationLimit(Residual):
     Raises:
         ValueError: limit or weight is negative, sigma or dt is not positive, or dim is odd.
     """
+
+    convex: ClassVar[bool] = True
 
     limit: float
     sigma: float
@@ -160,6 +165,8 @@ class LinearLimit(Residual):
     Raises:
         ValueError: shapes do not fit, sigma is not positive, or weight is negative.
     """
+
+    convex: ClassVar[bool] = True
 
     A: tuple[Array, ...]
     b: Array

@@ -38,11 +38,13 @@ class Residual(ABC):
 
     Attributes:
         per_step: Names of fields whose first axis runs over time steps; `at` picks one step.
+        convex: Whether the Hessian of `expand` is positive semidefinite everywhere.
         log_normalizer: log of the constant that makes exp(−energy) a density in the variable it
             describes; 0 for potentials, which the density leaves unnormalised.
     """
 
     per_step: ClassVar[tuple[str, ...]] = ()
+    convex: ClassVar[bool] = False
     log_normalizer: float = 0.0
 
     @property

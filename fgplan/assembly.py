@@ -56,6 +56,11 @@ class _Wired:
     def steps(self, offset: int) -> slice:
         return _moved(self.first, offset)
 
+    def hold(self, part: Array) -> None:
+        """No curvature where the state is known without error."""
+        for at, mask in self.held:
+            part[:, at] = np.where(mask, part[:, at], 0.0)  # not inf·0
+
     def add_gradient(self, part: Array, gradient: Array) -> None:
         for offset, columns, rows in self.runs:
             gradient[..., self.steps(offset), columns] += part[..., rows]
@@ -94,7 +99,7 @@ class Quadratic:
     """
 
     def __init__(self, assembly: Assembly, X: Array, which: Index, expand: Expand) -> None:
-        self._assembly, self._which = assembly, which
+        self._assembly, self._X, self._which = assembly, X, which
         d = X - assembly.reference[which]
         curve = assembly.times(d, which)
         self.linear_gradient = assembly.gradient[which] + curve
@@ -107,8 +112,7 @@ class Quadratic:
             part = expand(wired.residual, wired.variables(X))
             self.energy += part.energy.sum(-1)
             wired.add_gradient(part.gradient, self.gradient)
-            for at, mask in wired.held:
-                part.hessian[:, at] = np.where(mask, part.hessian[:, at], 0.0)  # not inf·0
+            wired.hold(part.hessian)
             if wired.far is None:
                 self._parts.append((wired, part.hessian))
             else:
@@ -134,20 +138,41 @@ class Quadratic:
         """Blocks (k, k + 1) of all B Hessians, shape (B, S − 1, D, D)."""
         return self.hessian(np.arange(len(self.energy)))[1]
 
-    def newton(self, rows: Index) -> tuple[Array, NDArray[np.bool_]]:
-        """Steps −H⁻¹ g of some of the B expansions, shape (R, S, D), zero where H is not positive
-        definite, and where it is (R,)."""
+    def newton(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Steps −H⁻¹ g of all B expansions, shape (B, S, D), zero where H is not positive definite,
+        and where it is (B,)."""
+        return self._solve(np.arange(len(self.energy)), self._parts)
+
+    def flattened(self, rows: Index) -> tuple[Array, NDArray[np.bool_]]:
+        """The same of some of them with Gauss–Newton Hessians, shape (R, S, D) and (R,): only what
+        may curve downwards is evaluated again."""
+        parts = []
+        for wired, part in self._parts:
+            if wired.residual.convex:
+                parts.append((wired, part[rows]))
+            else:
+                flat = wired.residual.gauss_newton(*wired.variables(self._X[rows])).hessian
+                wired.hold(flat)
+                parts.append((wired, flat))
+        return self._solve(rows, parts)
+
+    def _solve(
+        self, rows: Index, parts: Sequence[tuple[_Wired, Array]]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Newton steps of some expansions, whose curvature is given."""
+        which, gradient = self._which[rows], self.gradient[rows]
         if self._assembly.chains is not None and not self._far:
-            chains = self._assembly.chains.take(self._assembly.row[self._which[rows]])
-            every = len(rows) == len(self.energy)
-            for wired, part in self._parts:
-                wired.add_lower(part if every else part[rows], chains)
-            return chains.solve(-self.gradient[rows])
-        steps, definite = np.empty((len(rows), *self.gradient.shape[1:])), np.empty(len(rows), bool)
+            chains = self._assembly.chains.take(self._assembly.row[which])
+            for wired, part in parts:
+                wired.add_lower(part, chains)
+            return chains.solve(-gradient)
+        steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
         for here in self._chunks(len(rows)):
-            own = rows[here]
-            links = tuple((places, part[own]) for places, part in self._far)
-            steps[here], definite[here] = solve_each(*self.hessian(own), links, -self.gradient[own])
+            links = tuple((places, part[rows[here]]) for places, part in self._far)
+            blocks = self._assembly.held_hessian(which[here])
+            for wired, part in parts:
+                wired.add_hessian(part[here], *blocks)
+            steps[here], definite[here] = solve_each(*blocks, links, -gradient[here])
         return steps, definite
 
     def _chunks(self, count: int) -> Iterator[slice]:

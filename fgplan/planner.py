@@ -103,7 +103,7 @@ def plan(
         kept = worth_solving(assembly, proposed, solver, NEGLIGIBLE)
         proposed = tuple(proposed[i] for i in kept)
         assembly = Assembly([assembly.models[i] for i in kept])
-    before = shifted(warm, scenario, scenario.now - warm.now) if warm is not None else ()
+    before = shifted(warm, scenario, belief) if warm is not None else ()
     end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
     solving = [Solving(scenario, belief, assembly, i) for i in range(len(proposed))]

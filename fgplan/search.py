@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly
 from fgplan.block_tridiagonal import factorize
+from fgplan.crowd import Belief
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.mixture import Mixture
 from fgplan.scenario import Scenario
 from fgplan.solver import Solution, Solver, Stop
-from fgplan.trajectory import Trajectory
+from fgplan.trajectory import Trajectory, hermite
 
 Array = NDArray[np.float64]
 
@@ -142,27 +143,55 @@ def worth_solving(
     return [i for i in range(len(hypotheses)) if reach[i] >= best - margin]
 
 
-def shifted(previous: Mixture, scenario: Scenario, now: float) -> tuple[Start, ...]:
+def shifted(previous: Mixture, scenario: Scenario, belief: Belief) -> tuple[Start, ...]:
     """Every component of a previous plan as a start for now: what is left of it, then straight on.
+
+    The robot closes the gap to where it really is over the horizon. A person does what was planned
+    for them from where they are now, relative to going straight on as they go now.
 
     Args:
         previous: The plan that is being driven.
         scenario: What is known now.
-        now: Time since that plan began [s].
+        belief: The people now; those held at their prediction are left out.
     """
-    times = scenario.density.times
-    starts = []
-    for component in previous.components:
-        ahead = component.robot.at(times + now)
-        # The robot is not quite where the plan wanted it: close the gap over the horizon.
-        gap = scenario.robot.position - ahead[0, :2]
-        ahead[:, :2] += gap * (1 - times[:, None] / times[-1])
-        crowd = {
-            name: Trajectory.from_states(times, person.at(times + now))
-            for name, person in component.crowd.items()
-        }
-        starts.append(Start("warm", Trajectory.from_states(times, ahead), crowd))
-    return tuple(starts)
+    return tuple(
+        shift(c.robot, c.crowd, previous.now, scenario, belief) for c in previous.components
+    )
+
+
+def shift(
+    robot: Trajectory,
+    crowd: Mapping[str, Trajectory],
+    then: float,
+    scenario: Scenario,
+    belief: Belief,
+) -> Start:
+    """One robot and the people around it, planned at time `then` [s], as a start for now."""
+    times, elapsed = scenario.density.times, scenario.now - then
+    ahead = robot.resampled(times + elapsed)
+    gap = scenario.robot.position - ahead.positions[0]
+    positions = ahead.positions + gap * (1 - times[:, None] / times[-1])
+    people = {} if scenario.crowd == "predicted" else _from_now(crowd, belief, times, elapsed)
+    return Start("warm", replace(ahead, times=times, positions=positions), people)
+
+
+def _from_now(
+    crowd: Mapping[str, Trajectory], belief: Belief, times: Array, elapsed: float
+) -> dict[str, Trajectory]:
+    known = [i for i, name in enumerate(belief.names) if name in crowd]
+    if not known:
+        return {}
+    names = [belief.names[i] for i in known]
+    before = [crowd[name] for name in names]
+    states = np.stack([person.states for person in before], axis=1)
+    ahead = hermite(before[0].times, states[..., :2], states[..., 2:], times + elapsed)
+    position, velocity = belief.mean[known, :2], belief.mean[known, 2:]
+    change = velocity - ahead[1][0]
+    positions = ahead[0] + (position - ahead[0][0]) + times[:, None, None] * change
+    velocities = ahead[1] + change
+    return {
+        name: Trajectory(times, positions[:, i], velocities[:, i]) for i, name in enumerate(names)
+    }
 
 
 def _queue(

@@ -274,13 +274,12 @@ def _directions(
     """Newton's steps; Gauss–Newton's where the true Hessian is not positive definite, and for
     those that are stuck."""
     q = assembly.expand(X, which)
-    step, minimum = q.newton(np.arange(len(X)))
+    step, minimum = q.newton()
     newton = minimum if stuck is None else minimum & ~stuck
     found = newton.copy()
     if not newton.all():
         rows = np.flatnonzero(~newton)
-        flat = assembly.gauss_newton(X[rows], which[rows])
-        step[rows], found[rows] = flat.newton(np.arange(len(rows)))
+        step[rows], found[rows] = q.flattened(rows)
     promised = -0.5 * np.einsum("bsd,bsd->b", q.gradient, step)
     return _Directions(step, np.where(found, promised, np.inf), minimum, newton, q)
 

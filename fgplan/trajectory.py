@@ -39,23 +39,19 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         size = len(self.times)
-        for name, shape in (
-            ("times", (size,)),
-            ("positions", (size, 2)),
-            ("velocities", (size, 2)),
-            ("headings", (size,)),
-            ("yaw_rates", (size,)),
-        ):
-            given = getattr(self, name)
-            if given is None and name in ("headings", "yaw_rates"):
-                continue
-            value = np.asarray(given, dtype=float)
+        shapes = {"times": (size,), "positions": (size, 2), "velocities": (size, 2)}
+        if self.headings is not None:
+            shapes["headings"] = (size,)
+        if self.yaw_rates is not None:
+            shapes["yaw_rates"] = (size,)
+        for name, shape in shapes.items():
+            value = np.asarray(getattr(self, name), dtype=float)
             if value.shape != shape:
                 raise ValueError(f"{name} has shape {value.shape}, expected {shape}")
-            if not np.all(np.isfinite(value)):
+            if not np.isfinite(value).all():
                 raise ValueError(f"{name} holds a number that is not finite")
             object.__setattr__(self, name, value)
-        if size == 0 or np.any(np.diff(self.times) <= 0):
+        if size == 0 or (self.times[1:] <= self.times[:-1]).any():
             raise ValueError("times must be a non-empty, strictly increasing sequence")
         if (self.headings is None) != (self.yaw_rates is None):
             raise ValueError("headings and yaw_rates are given together or not at all")

@@ -83,6 +83,8 @@ def _check_point(residual: Residual, x: tuple[Array, ...], atol: float) -> None:
     slopes = differences(lambda *y: residual.expand(*y).gradient, *x)
     _assert_close(full.hessian, slopes[:, support], atol, "true Hessian")
     assert_allclose(full.hessian, full.hessian.T, rtol=1e-9, atol=1e-9)
+    if residual.convex:
+        assert np.linalg.eigvalsh(full.hessian)[0] > -1e-9 * max(1.0, np.abs(full.hessian).max())
 
 
 def _check_batches(residual: Residual, x: tuple[Array, ...]) -> None:

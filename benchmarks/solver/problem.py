@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import World
 from fgplan.assembly import Assembly
+from fgplan.components import Solving
 from fgplan.crowd import Belief, believe, seen
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.model import build
 from fgplan.scenario import Scenario
+from fgplan.search import shift
+from fgplan.solver import Solution, Stop
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -85,8 +88,7 @@ def warm(world: World, before: Problem, states: Array, **size: Any) -> Problem:
     world = world.moved(before.best(states)[1, robot])
     scenario = world.scenario(**size)
     belief, hypotheses = _proposed(scenario)
-    elapsed = scenario.now - before.scenario.now
-    starts = tuple(_shifted(before, state, scenario, elapsed) for state in states)
+    starts = tuple(_shifted(before, state, scenario, belief) for state in states)
     return Problem(scenario, belief, hypotheses, starts, before.which)
 
 
@@ -96,20 +98,13 @@ def _proposed(scenario: Scenario) -> tuple[Belief, tuple[Hypothesis, ...]]:
     return belief, tuple(hypothesise(scenario, belief))
 
 
-def _shifted(before: Problem, state: Array, scenario: Scenario, elapsed: float) -> Start:
-    """What is left of a plan, then straight on, as `fgplan.search.shifted` does it.
-
-    The robot is not quite where another hypothesis wanted it: the gap closes over the horizon.
-    """
-    model, times = before.assembly.models[0], scenario.density.times
-    robot = Trajectory.from_states(model.times, state[:, model.columns["robot"]])
-    ahead = robot.at(times + elapsed)
-    ahead[:, :2] += (scenario.robot.position - ahead[0, :2]) * (1 - times[:, None] / times[-1])
-    crowd = {}
-    n = len(model.people)
-    if n:
-        flat = state[:, model.columns["crowd"]].reshape(-1, 2, n, 2)
-        for i, name in enumerate(model.people):
-            person = Trajectory(model.times, flat[:, 0, i], flat[:, 1, i])
-            crowd[name] = Trajectory.from_states(times, person.at(times + elapsed))
-    return Start("warm", Trajectory.from_states(times, ahead), crowd)
+def _shifted(before: Problem, state: Array, scenario: Scenario, belief: Belief) -> Start:
+    """One state (T + 1, D) as `fgplan.search.shifted` makes a start of it."""
+    solving = Solving(before.scenario, before.belief, before.assembly, 0)
+    solution = Solution(state, 0.0, 0, Stop.CONVERGED, 0.0)
+    people = solving.people(solution)
+    crowd = {
+        name: Trajectory.from_states(people.times, people.states[:, i])
+        for i, name in enumerate(before.belief.names)
+    }
+    return shift(solving.robot(solution), crowd, before.scenario.now, scenario, belief)

@@ -8,7 +8,16 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from fgplan import Density, GivenPlan, Robot, Scenario, Track, plan
+from fgplan import (
+    Density,
+    DifferentialDrive,
+    GivenPlan,
+    Holonomic,
+    Robot,
+    Scenario,
+    Track,
+    plan,
+)
 from fgplan.assembly import Assembly
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
@@ -65,7 +74,7 @@ def test_a_warm_start_needs_fewer_iterations_and_is_never_worse():
     hypotheses = hypothesise(second, belief)
     only = [replace(h, starts=h.starts[:1]) for h in hypotheses]
     assembly = Assembly(build(second, belief, only))
-    warm = shifted(first, second, STEP)
+    warm = shifted(first, second, belief)
     initial = np.stack([assembly.models[0].initial(s) for s in (only[0].starts[0], *warm)])
     cold, *others = SecondOrder(meeting=0.0, patience=np.inf).solve(
         assembly, initial, np.zeros(3, dtype=int)
@@ -92,7 +101,7 @@ def test_the_best_of_the_previous_components_is_taken_whatever_its_label():
     belief = believed(swapped)
     hypotheses = hypothesise(swapped, belief)
     assembly = Assembly(build(swapped, belief, hypotheses))
-    found = search(assembly, hypotheses, SecondOrder(), shifted(first, swapped, STEP)).found
+    found = search(assembly, hypotheses, SecondOrder(), shifted(first, swapped, belief)).found
     for i, hypothesis in enumerate(hypotheses):
         (start,) = [f for f in found if f.which == i and f.label == "warm"]
         robot = assembly.models[i].columns["robot"].start
@@ -151,7 +160,7 @@ def test_enough_time_gives_the_plan_without_a_deadline():
 def test_a_warm_start_closes_the_gap_to_where_the_robot_really_is():
     first = plan(fork())
     scenario = fork(now=STEP)
-    starts = shifted(first, scenario, STEP)
+    starts = shifted(first, scenario, believed(scenario))
     assert all(isinstance(s, Start) for s in starts)
     for start, component in zip(starts, first.components, strict=True):
         np.testing.assert_allclose(start.robot.positions[0], scenario.robot.position, atol=1e-12)
@@ -209,3 +218,38 @@ def test_turns_under_a_deadline_find_what_all_at_once_find():
     assert min(f.solution.energy for f in in_turns.found) == pytest.approx(
         min(f.solution.energy for f in together.found), abs=1e-6
     )
+
+
+def test_a_warm_start_keeps_what_was_planned_for_people_relative_to_where_they_go():
+    first = plan(fork("ab"))
+    scenario = fork("abc", now=STEP)
+    belief = believed(scenario)
+    times = scenario.density.times
+    prediction = belief.predict(times)[0]
+    for start, component in zip(shifted(first, scenario, belief), first.components, strict=True):
+        assert set(start.crowd) == {"a", "b"}
+        for name, person in start.crowd.items():
+            i = belief.names.index(name)
+            np.testing.assert_allclose(person.states[0], belief.mean[i], atol=1e-12)
+            planned = component.crowd[name].at(times + STEP)
+            straight = planned[0, :2] + times[:, None] * planned[0, 2:]
+            np.testing.assert_allclose(
+                person.positions - prediction[:, i, :2], planned[:, :2] - straight, atol=1e-9
+            )
+
+
+@pytest.mark.parametrize("model", [Holonomic(), DifferentialDrive()])
+def test_a_warm_start_where_nothing_changed_is_the_plan(model):
+    """Also with wheels, whose headings are a part of it."""
+    scenario = fork("").replace(robot=Robot(np.zeros(2), np.array([0.8, 0.0]), model=model))
+    first = plan(scenario)
+    assert first.best is not None
+    belief = believed(scenario)
+    hypotheses = hypothesise(scenario, belief)
+    assembly = Assembly(build(scenario, belief, hypotheses))
+    best = first.best
+    i = next(i for i, h in enumerate(hypotheses) if h.label == best.label)
+    start = shifted(first, scenario, belief)[first.selected]
+    state = assembly.models[i].initial(start)
+    energy = float(assembly.energy(state[None], np.array([i]))[0])
+    assert energy - assembly.models[i].log_normalizer_own == pytest.approx(best.energy, abs=1e-3)
