@@ -29,6 +29,7 @@ from fgplan.scenario import Scenario
 from fgplan.search import search, shifted, worth_solving
 from fgplan.shared_control import operated
 from fgplan.solver import SecondOrder, Solver
+from fgplan.tactical import of_people
 from fgplan.trajectory import Trajectory
 from fgplan.validation import validate
 
@@ -93,6 +94,7 @@ def plan(
     d = scenario.density
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
+    scenario = of_people(scenario, belief)
     stated = tuple(hypotheses(scenario, belief))
     proposed = reweigh(scenario, crossed(scenario, stated))
     ready = perf_counter()

@@ -29,6 +29,7 @@ RANKS = [
     {"validation"},
     {"scenario_file"},
     {"crowd"},
+    {"tactical"},
     {"safety"},
     {"starts", "mixture", "recordings"},
     {"hypotheses"},

@@ -1,0 +1,68 @@
+"""Stay behind somebody who walks on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.hinge import hinge_scale
+from factors.one_sided import OneSided, Scalar, affine
+from factors.residual import Array, Residual
+
+
+@dataclass(frozen=True, eq=False)
+class StayBehind(OneSided):
+    r"""e = √weight · max(0, uᵀ(p − person) + gap)/sigma: no further along their way than they are.
+
+    Args:
+        person: Where they are, shape (2,), or (S, 2) [m].
+        direction: Where they walk, any length above 0, shape (2,), or (S, 2).
+        gap: How far behind to stay [m].
+        sigma: [m]; inf switches the penalty off.
+        weight: Exponent of the potential, dt/t_ref.
+        dim: Size of the state, whose first two components are the position.
+
+    Raises:
+        ValueError: a direction is 0, sigma is not positive, or the weight is negative.
+    """
+
+    per_step: ClassVar[tuple[str, ...]] = ("person", "direction")
+
+    person: Array
+    direction: Array
+    gap: float = 1.0
+    sigma: float = 0.2
+    weight: float = 1.0
+    dim: int = 4
+
+    def __post_init__(self) -> None:
+        hinge_scale(self.sigma, self.weight)
+        person = np.asarray(self.person, dtype=float)
+        direction = np.broadcast_to(np.asarray(self.direction, dtype=float), person.shape)
+        size = np.linalg.norm(direction, axis=-1, keepdims=True)
+        if not np.all(size > 0):
+            raise ValueError(f"direction must not be 0, got {self.direction}")
+        object.__setattr__(self, "person", person)
+        object.__setattr__(self, "direction", direction / size)
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        return (self.dim,)
+
+    @property
+    def support(self) -> NDArray[np.intp]:
+        return np.arange(2)
+
+    @property
+    def scale(self) -> float:
+        return hinge_scale(self.sigma, self.weight)
+
+    def at(self, step: int) -> Residual:
+        return self if self.person.ndim == 1 else super().at(step)
+
+    def excess(self, *x: Array) -> Scalar:
+        ahead = np.sum(self.direction * (x[0][..., :2] - self.person), axis=-1)
+        return affine(ahead + self.gap, self.direction)
