@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors.hinge import expand_norm, hinge_scale
+from factors.hinge import hinge_scale, linearize_norm
 from factors.one_sided import OneSided, Scalar
 from factors.residual import Array
 from factors.shape import Shape
@@ -52,7 +52,8 @@ class SpeedZone(OneSided):
         return hinge_scale(self.sigma, self.weight)
 
     def excess(self, *x: Array) -> Scalar:
-        speed, u, bend = expand_norm(x[0][..., 2:])
+        speed, u = linearize_norm(x[0][..., 2:])
+        bend = (np.eye(2) - u[..., :, None] * u[..., None, :]) / speed[..., None, None]
         return Scalar(speed - self.limit, *_placed(u, bend, 2))
 
     def gate(self, *x: Array) -> Scalar:

@@ -18,32 +18,18 @@ from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
-from fgplan.errors import MapError, MissionError, Mistake, ScenarioError
+from fgplan.errors import MapError, Mistake, ScenarioError
 from fgplan.measuring import Reading, Readings
-from fgplan.mission import Fact, Mission
 from fgplan.occupancy import OccupancyGrid
-from fgplan.regions import Region
 from fgplan.robots import Holonomic, RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
+from fgplan.tables import Flag, Number, Point, Table, Text, Whole
+from fgplan.task_file import MissionTable, RegionTable, TacticTable, understood
 from fgplan.validation import find_mistakes, placement
 from fgplan.wheeled import CarLike, DifferentialDrive
-
-Number = Annotated[float, Strict()]
-Whole = Annotated[int, Strict()]
-Flag = Annotated[bool, Strict()]
-Text = Annotated[str, Strict()]
-Point = tuple[Number, Number]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    def stated(self) -> dict[str, Any]:
-        """What the file says, without what it leaves at the defaults of `fgplan.scenario`."""
-        return {name: getattr(self, name) for name in self.model_fields_set}
 
 
 def _dt_or_number(value: object) -> object:
@@ -60,14 +46,14 @@ def _sigmas_or_matrix(value: object) -> object:
     return np.diag(np.asarray(value, dtype=float) ** 2).tolist()
 
 
-class _Map(_Table):
+class _Map(Table):
     file: Text | None = None
     polygons: list[list[Point]] | None = None
     bounds: tuple[Number, Number, Number, Number] | None = None
     resolution: Number | None = None
 
 
-class _Robot(_Table):
+class _Robot(Table):
     position: Point
     velocity: Point = (0.0, 0.0)
     heading: Number = 0.0
@@ -85,22 +71,22 @@ class _Robot(_Table):
     Qc_yaw: Number = 0.0
 
 
-class _Goal(_Table):
+class _Goal(Table):
     position: Point
 
 
-class _Given(_Table):
+class _Given(Table):
     label: Text
     path: list[Point]
     weight: Number | None = None
 
 
-class _Plans(_Table):
+class _Plans(Table):
     count: Whole | None = None
     given: list[_Given] = []
 
 
-class _Density(_Table):
+class _Density(Table):
     dt: Number = 0.0
     horizon: Number = 0.0
     t_ref: Annotated[Number | None, BeforeValidator(_dt_or_number)] = None
@@ -119,25 +105,25 @@ class _Density(_Table):
     beta: Number = 0.0
 
 
-class _Crowd(_Table):
+class _Crowd(Table):
     mode: Text = "joint"
     pairs: Text = "all"
     now: Number = 0.0
 
 
-class _Person(_Table):
+class _Person(Table):
     id: Text
     track: list[tuple[Number, Number, Number]]
     radius: Number = 0.0
 
 
-class _FieldOfView(_Table):
+class _FieldOfView(Table):
     range: Number = 0.0
     angle: Number = 0.0
     occlusion: Flag = True
 
 
-class _Level(_Table):
+class _Level(Table):
     name: Text = ""
     sigma: Number = 0.0
     length: Number = 0.0
@@ -148,7 +134,7 @@ class _Level(_Table):
     plans: list[_Given] = []
 
 
-class _Datum(_Table):
+class _Datum(Table):
     on: Text | None = None
     time: Number | None = None
     position: Point | None = None
@@ -157,25 +143,7 @@ class _Datum(_Table):
     covariance: list[list[Number]] | None = None
 
 
-class _Region(_Table):
-    name: Text
-    polygon: list[Point] | None = None
-    centre: Point | None = None
-    radius: Number = 0.0
-
-
-class _Fact(_Table):
-    name: Text
-    holds: Flag = False
-    closes: Text | None = None
-
-
-class _Mission(_Table):
-    formula: Text
-    facts: list[_Fact] = []
-
-
-class _File(_Table):
+class _File(Table):
     robot: _Robot
     name: Text | None = None
     map: _Map | None = None
@@ -187,8 +155,9 @@ class _File(_Table):
     field_of_view: _FieldOfView | None = None
     levels: list[_Level] | None = None
     data: list[_Datum] = []
-    regions: list[_Region] = []
-    mission: _Mission | None = None
+    regions: list[RegionTable] = []
+    mission: MissionTable | None = None
+    tactics: list[TacticTable] = []
 
 
 MODELS = {"holonomic": Holonomic, "differential": DifferentialDrive, "car": CarLike}
@@ -200,7 +169,7 @@ MOST_CELLS = 40_000_000
 _ROWS = {"track": (1, 3), "path": (1, 2), "polygon": (1, 2), "polygons": (2, 2)}
 """Lists of rows: how deep the rows are, and how long."""
 
-_TABLES = {"people", "given", "levels", "data", "regions", "facts", "plans"}
+_TABLES = {"people", "given", "levels", "data", "regions", "facts", "plans", "tactics"}
 """Lists of tables: one that cannot be read becomes an empty one."""
 
 _UNREADABLE: dict[str, Any] = {
@@ -244,16 +213,12 @@ def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
     unclear = any(known.startswith("map") for known in reported)
     grid, wrong = _map(table.map, path.parent, unclear)
     model, misplaced = _model(table.robot, "robot.model" in reported)
-    regions, no_regions = _regions(table.regions)
-    mission, no_mission = _mission(table.mission)
-    # Where a region cannot be read, the mission would not know its name.
-    named = {"regions": regions} if no_regions else {"regions": regions, "mission": mission}
-    scenario = _scenario(table, grid, model, path.stem).replace(**named)
+    scenario = _scenario(table, grid, model, path.stem)
+    scenario, no_task = understood(scenario, table.regions, table.mission, table.tactics)
     meant = (
         *wrong,
         *misplaced,
-        *no_regions,
-        *no_mission,
+        *no_task,
         *_goal(table),
         *_choices(table),
         *(_respelled(mistake) for mistake in find_mistakes(scenario)),
@@ -362,10 +327,7 @@ def _repair(tables: dict[str, Any], loc: tuple[int | str, ...], kind: str) -> No
     elif kind == "missing" and len(loc) == last + 1:
         # A name no other has.
         owner[key] = copy.deepcopy(_UNREADABLE.get(key, f"unnamed {_spell(loc)}"))
-    elif (
-        key in ("people", "given", "levels", "data", "regions", "facts", "plans")
-        and len(loc) > last + 1
-    ):
+    elif key in _TABLES and key in owner and len(loc) > last + 1:
         owner[key][loc[last + 1]] = {}
     else:
         owner.pop(key, None)
@@ -503,33 +465,6 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
         data=tuple(_measurement(datum) for datum in table.data),
         **{"name": stem, **optional},
     )
-
-
-def _regions(tables: Sequence[_Region]) -> tuple[tuple[Region, ...], list[Mistake]]:
-    """The regions, and those that are none."""
-    regions, wrong = [], []
-    for i, table in enumerate(tables):
-        outline = table.polygon if table.centre is None else [table.centre]
-        if (table.polygon is None) == (table.centre is None) or outline is None:
-            mend = "give a polygon, or a centre with a radius"
-            wrong.append(Mistake(f"regions[{i}]", table.name, mend))
-            continue
-        try:
-            regions.append(Region(table.name, tuple(outline), table.radius))
-        except ValueError as error:
-            wrong.append(Mistake(f"regions[{i}]", table.name, str(error)))
-    return tuple(regions), wrong
-
-
-def _mission(table: _Mission | None) -> tuple[Mission | None, list[Mistake]]:
-    """The mission, or why it is none."""
-    if table is None:
-        return None, []
-    facts = tuple(Fact(f.name, f.holds, f.closes) for f in table.facts)
-    try:
-        return Mission(table.formula, facts), []
-    except MissionError as error:
-        return None, [Mistake("mission.formula", table.formula, str(error))]
 
 
 def _plan(given: _Given) -> GivenPlan:
