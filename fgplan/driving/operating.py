@@ -16,19 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.residual import whitener
-from fgplan.crowd import Belief
 from fgplan.driving.observation import Intent
 from fgplan.driving.proposals import route
-from fgplan.driving.routing import Routes, Routing, Way, joined
-from fgplan.errors import NoRoute
-from fgplan.hypotheses import hypothesise
+from fgplan.driving.routing import Routing, Way, joined
 from fgplan.hypothesis import Hypothesis
 from fgplan.measuring import Measurement
 from fgplan.mixture import Mixture
-from fgplan.scenario import GivenPlan, Scenario
+from fgplan.scenario import Scenario
 from fgplan.shared_control import (
     VIA,
-    Candidate,
     Lead,
     Waypoint,
     admit,
@@ -195,54 +191,18 @@ class Operated:
         for component, p in zip(mixture.components, mixture.probability_height, strict=True):
             name = route(component.label.split("+")[0])  # merged hypotheses are one plan
             probability[name] = probability.get(name, 0.0) + float(p)
-        name = max(probability, key=lambda key: probability[key])
-        certain = self.best if self.best is not None and self.best[0] == name else None
-        if probability[name] < CERTAIN:
-            certain = None
-        elif certain is None:
-            certain = (name, scenario.now)
+        operated = self.conclude(probability, scenario.now)
+        since = None if operated.best is None else operated.best[1]
         asked = scenario.replace(data=self.data)
-        intent = Intent(
-            probability, None if certain is None else certain[1], deviation(asked, driven)
-        )
-        return replace(self, best=certain), intent
+        return operated, Intent(probability, since, deviation(asked, driven))
 
-
-class CandidateGoals:
-    """A source of hypotheses for a `Planner` without a goal: the way to each candidate.
-
-    All are equally probable before the operator says anything. A way is searched as routes are,
-    once a second, and joined to where the robot is in between.
-
-    Args:
-        candidates: Given, or found by `fgplan.shared_control.find_candidates`.
-        routing: How ways are kept up to date.
-    """
-
-    def __init__(
-        self,
-        candidates: Sequence[Candidate],
-        routing: Routing = Routing(),  # noqa: B008 - frozen
-    ) -> None:
-        self.candidates = tuple(candidates)
-        self.routing = routing
-        self._routes: dict[str, Routes] = {}
-
-    def __call__(self, scenario: Scenario, belief: Belief) -> Sequence[Hypothesis]:
-        found = []
-        for candidate in self.candidates:
-            towards = scenario.replace(goal=candidate.position, count=1, plans=())
-            before = self._routes.get(candidate.label, Routes())
-            routes = before.update(towards, self.routing, None)
-            self._routes[candidate.label] = routes
-            if routes.ways:
-                given = GivenPlan(candidate.label, routes.ways[0].path, 1.0)
-                try:
-                    own = hypothesise(towards.replace(plans=(given,), count=0), belief)
-                except NoRoute:
-                    continue
-                found.append(replace(own[0], log_prior=0.0))
-        return found
+    def conclude(self, probability: Mapping[str, float], now: float) -> Operated:
+        """With what is certain, and since when."""
+        name = max(probability, key=lambda key: probability[key])
+        if probability[name] < CERTAIN:
+            return replace(self, best=None)
+        known = self.best is not None and self.best[0] == name
+        return self if known else replace(self, best=(name, now))
 
 
 def _over(
