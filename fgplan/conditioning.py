@@ -42,6 +42,7 @@ from fgplan.hypothesis import Course, Hypothesis
 from fgplan.measuring import ROBOT, Measurement, Reading
 from fgplan.robots import Piece
 from fgplan.scenario import Density, Level, Scenario
+from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Stamped = tuple[float, Reading]
@@ -83,7 +84,10 @@ def measuring(scenario: Scenario, name: str) -> tuple[Measurement, ...]:
 
 
 def log_likelihood(
-    readings: Iterable[Reading], course: Course, now: float = 0.0, spread: float = 0.0
+    readings: Iterable[Reading],
+    course: Course | Trajectory,
+    now: float = 0.0,
+    spread: float = 0.0,
 ) -> float:
     """log p(z | η) of readings of a known trajectory, up to a constant of the readings [nats].
 
@@ -97,7 +101,11 @@ def log_likelihood(
     if not readings:
         return 0.0
     times = [nearest(r, course) if r.time is None else r.time - now for r in readings]
-    states = course.at(np.array(times))
+    if isinstance(course, Trajectory):
+        states = course.at(np.array(times))
+    else:
+        said = [t if r.said is None else r.said - now for t, r in zip(times, readings, strict=True)]
+        states = course.at(np.array(times), np.array(said))
     first = np.array([0 if r.quantity == "position" else 2 for r in readings])
     expected = np.take_along_axis(states, first[:, None] + np.arange(2), axis=1)
     error = np.array([r.value for r in readings]) - expected
@@ -124,7 +132,7 @@ def weigh(weights: Any, plans: Any, z: Any, covariance: Any) -> Array:
     return np.asarray(np.exp(score - np.logaddexp.reduce(score)))
 
 
-def nearest(reading: Reading, course: Course) -> float:
+def nearest(reading: Reading, course: Course | Trajectory) -> float:
     """When a trajectory is nearest to a position, in units of its noise; the first time, if it is
     so more than once."""
     W = whitener(reading.covariance)
@@ -247,7 +255,7 @@ def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) ->
     if not past:
         return None
     means = [_mean(level, h) for h in hypotheses]
-    z = [np.concatenate([_deviation(r, mean, t) for t, r in past]) for mean in means]
+    z = [np.concatenate([_deviation(r, mean, t, now) for t, r in past]) for mean in means]
     return remembered(
         _process(level, scenario.density),
         [-t for t, _ in past],
@@ -311,8 +319,10 @@ def _matrix(reading: Reading) -> Array:
     return np.eye(2, 4, k=0 if reading.quantity == "position" else 2)
 
 
-def _deviation(reading: Reading, mean: Course | None, t: float) -> Array:
-    """A reading less the mean at that time, shape (2,)."""
+def _deviation(reading: Reading, mean: Course | None, t: float, now: float = np.nan) -> Array:
+    """A reading less the mean at that time, shape (2,): with `now`, the mean there was when it
+    was said."""
     if mean is None:
         return np.asarray(reading.value, dtype=float)
-    return np.asarray(reading.value - _matrix(reading) @ mean.at(t))
+    said = None if reading.said is None or np.isnan(now) else reading.said - now
+    return np.asarray(reading.value - _matrix(reading) @ mean.at(t, said))

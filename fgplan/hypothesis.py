@@ -4,22 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
+
+import numpy as np
 
 from fgplan.trajectory import Array, Trajectory
 
 
-class Course(Protocol):
-    """Where a plan is at any time: a `Trajectory` is one."""
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A plan through time: what it was at each moment until now, and what it is now.
+
+    Plans are rebuilt from where the robot is, so a datum of two seconds ago cannot be compared
+    with a plan of now: it is compared with the plan there was when it was said.
+
+    Args:
+        starts: When each plan was made, increasing, the last one usually 0 [s from now].
+        plans: On their own clocks, which begin at 0.
+    """
+
+    starts: Array
+    plans: tuple[Trajectory, ...]
 
     @property
     def times(self) -> Array:
-        """The times it covers [s from now]."""
-        ...
+        """From the first plan's beginning to the last one's end [s from now]."""
+        last = self.starts[-1] + self.plans[-1].times
+        return np.concatenate([self.starts[:-1], last])
 
-    def at(self, times: Any) -> Array:
-        """States (x, y, vx, vy), shape (..., 4)."""
-        ...
+    def at(self, times: Any, said: Any = None) -> Array:
+        """States (x, y, vx, vy) at times from now, shape (..., 4), each by the plan there was
+        when it was `said` [s from now], by default at that time itself."""
+        t = np.asarray(times, dtype=float)
+        when = t if said is None else np.broadcast_to(np.asarray(said, dtype=float), t.shape)
+        if len(self.plans) == 1:
+            return self.plans[0].at(t - self.starts[0])
+        which = np.clip(np.searchsorted(self.starts, when + 1e-6, side="right") - 1, 0, None)
+        states = np.empty((*t.shape, 4))
+        for k in np.unique(which):
+            mine = which == k
+            states[mine] = self.plans[k].at(t[mine] - self.starts[k])
+        return states
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +75,8 @@ class Hypothesis:
         starts: Initial values, at least one.
         route: The untimed path, shape (N, 2) [m], for pictures; None when no goal is known.
         course: The plan at the times of data that the steps do not cover: before now, beyond the
-            horizon. None goes on from both ends of the plan at the velocity there.
+            horizon. None goes on from both ends of the plan at the velocity there. A trajectory
+            is the plan of now, at more times.
         own: Plans of levels that have hypotheses of their own, by the level's name.
     """
 
@@ -60,7 +86,7 @@ class Hypothesis:
     cost: float
     starts: tuple[Start, ...]
     route: Array | None = None
-    course: Course | None = None
+    course: Course | Trajectory | None = None
     own: Mapping[str, Trajectory] = field(default_factory=dict)
 
     def plan_of(self, level: str) -> Trajectory | None:
@@ -83,7 +109,9 @@ class Hypothesis:
         Raises:
             ValueError: there is no plan.
         """
-        known = self.plan if self.course is None else self.course
+        if isinstance(self.course, Course):
+            return self.course
+        known = self.course or self.plan
         if known is None:
             raise ValueError(f"hypothesis {self.label!r} has no plan that data could measure")
-        return known
+        return Course(np.zeros(1), (known,))

@@ -36,12 +36,16 @@ class Reading:
         value: Shape (2,) [m] or [m/s], map frame.
         covariance: Of the noise, shape (2, 2).
         quantity: What is measured.
+        said: When it was said, on the same clock [s]: before its time where a wish is about what
+            comes next. None is at its time. On a plan without width it is compared with the plan
+            there was then.
     """
 
     time: float | None
     value: Array
     covariance: Array
     quantity: Literal["position", "velocity"] = "position"
+    said: float | None = None
 
 
 @runtime_checkable

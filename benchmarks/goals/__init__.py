@@ -9,7 +9,7 @@ walls). `fgplan.driving.GoalInference` is told of each message of the stick and 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ Progress = Callable[[str, int, int], None]
 
 PERIOD = 0.2
 """Between two messages of the stick [s]."""
-NOISE = 0.5
+NOISE = 0.4
 """Standard deviation of the hand [m/s]."""
 MEMORY = 0.5
 """Correlation time of its noise [s]; its independent time is twice that."""
@@ -39,7 +39,9 @@ CERTAIN = 0.9
 CHECKPOINTS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
 """Shares of the path at which probabilities are asked for."""
 BINS = 10
-STICK = Stick(deadman=None, frame="map", sigma=NOISE, persistence=2 * MEMORY)
+TOP = 2.0
+"""Of the stick and the robot [m/s]: a wish at walking pace is far from the end of the stick."""
+STICK = Stick(deadman=None, speed=TOP, frame="map", sigma=NOISE, persistence=2 * MEMORY)
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class Row:
     """What runs with one number of candidates come to.
 
     Args:
-        candidates: How many.
+        candidates: How many, or "all" for all of these runs together.
         hand: Of the operator.
         runs: How many.
         known_after_p50, known_after_p90: Share of the path after which the true goal is known.
@@ -103,7 +105,7 @@ class Row:
             is the true one, how many.
     """
 
-    candidates: int
+    candidates: str
     hand: str
     runs: int
     known_after_p50: float
@@ -113,22 +115,27 @@ class Row:
     reliability: tuple[tuple[float, float, int], ...]
 
 
-def measure(
+def drives(
     count: int, runs: int, hand: Hand = HANDS[0], seed: int = 0, progress: Progress | None = None
-) -> Row:
+) -> list[Run]:
     """Drive so many times with so many candidates."""
-    drives = []
+    found = []
     for number in range(runs):
-        drives.append(drive(count, hand, seed + number))
+        found.append(drive(count, hand, seed + number))
         if progress is not None:
             progress(f"{count} candidates, {hand.name}", number + 1, runs)
-    known = np.array([run.known_after for run in drives])
-    asked = [(run.at(share), run.goal) for run in drives for share in CHECKPOINTS]
+    return found
+
+
+def measure(runs: Sequence[Run], candidates: str, hand: str) -> Row:
+    """What runs come to."""
+    known = np.array([run.known_after for run in runs])
+    asked = [(run.at(share), run.goal) for run in runs for share in CHECKPOINTS]
     error, bins = calibration(asked)
     return Row(
-        count,
-        hand.name,
-        runs,
+        candidates,
+        hand,
+        len(runs),
         float(np.median(known)),
         float(np.quantile(known, 0.9)),
         float(np.mean(known >= 1)),
@@ -159,12 +166,12 @@ def drive(count: int, hand: Hand, seed: int) -> Run:
     rng = np.random.default_rng([seed, count])
     grid, candidates = room(rng, count)
     goal = int(rng.integers(count))
-    scenario = Scenario(Robot(np.zeros(2), radius=RADIUS), grid=grid)
+    scenario = Scenario(Robot(np.zeros(2), radius=RADIUS, max_speed=TOP), grid=grid)
     inference = GoalInference(scenario, candidates)
     speed = float(rng.uniform(0.7, 1.0))
     position, velocity, noise = np.zeros(2), np.zeros(2), rng.normal(0, NOISE, 2)
     wishes: list[Array] = []
-    driven, shares, probability = 0.0, [], []
+    shares, probability = [], []
     way = find_routes(grid, position, candidates[goal].position, RADIUS, 1)[0].path
     length = path_length(way)
     for step in range(round(3 * length / PERIOD)):
@@ -175,19 +182,18 @@ def drive(count: int, hand: Hand, seed: int) -> Run:
         wish = wishes[max(0, step - round(hand.delay / PERIOD))]
         keep = np.exp(-PERIOD / MEMORY)
         noise = keep * noise + np.sqrt(1 - keep**2) * rng.normal(0, NOISE, 2)
-        axes = np.clip(wish + noise, -1, 1)
+        axes = np.clip((wish + noise) / TOP, -1, 1)
         sample = JoySample(time, (float(axes[1]), float(axes[0])), ())
         said = () if rng.random() < hand.dropped else STICK.wish(sample, 0.0, PERIOD)
         intent = inference.step(Observation(time, position, velocity, operator=said))
         shares.append(1 - path_length(find_rest(way, position)) / length)
         probability.append([intent.probability[c.label] for c in candidates])
-        velocity = axes
+        velocity = TOP * axes
         ahead = position + PERIOD * velocity
         if grid.clearance(ahead[None], RADIUS)[0] < 0:  # along the wall, or not at all
             options = [position + PERIOD * velocity * keep_axis for keep_axis in np.eye(2)]
             gaps = grid.clearance(np.array(options), RADIUS)
             ahead = options[int(np.argmax(gaps))] if gaps.max() >= 0 else position
-        driven += float(np.hypot(*(ahead - position)))
         position = ahead
         if np.hypot(*(position - candidates[goal].position)) < NEAR:
             break
@@ -237,15 +243,19 @@ def room(rng: np.random.Generator, count: int) -> tuple[OccupancyGrid, tuple[Can
 
 
 def run(short: bool = False, progress: Progress | None = None) -> Iterator[Row]:
-    """Yields a row for each number of candidates, then for hands that are not only noisy."""
-    runs = 12 if short else 500
-    for count in (3, 5, 9):
-        yield measure(count, runs, progress=progress)
+    """Yields a row for each number of candidates and one for all, 500 runs; then hands that are
+    not only noisy."""
+    every: list[Run] = []
+    for count, runs in ((3, 167), (5, 167), (9, 166)):
+        found = drives(count, 10 if short else runs, progress=progress)
+        every += found
+        yield measure(found, str(count), HANDS[0].name)
+    yield measure(every, "all", HANDS[0].name)
     if not short:
         for hand in HANDS[1:]:
-            yield measure(5, 100, hand, progress=progress)
+            yield measure(drives(5, 100, hand, progress=progress), "5", hand.name)
 
 
 def as_dict(row: Row) -> dict[str, Any]:
     """For JSON."""
-    return asdict(replace(row))
+    return asdict(row)

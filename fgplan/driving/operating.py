@@ -1,16 +1,14 @@
 """The operator while driving: what was said, what of it is remembered, and what it comes to.
 
-Plans are rebuilt from where the robot is at every step, so a datum of two seconds ago cannot be
-compared with a plan of now. It is compared with the plan that its hypothesis, known by its name,
-had at that time: what a stick said at a fork keeps counting for the way it pointed at, however the
-robot has moved since.
+What a stick said at a fork keeps counting for the way it pointed at, however the robot has moved
+since: each datum is compared with the plan that a hypothesis, known by its name, had when it was
+said.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +17,8 @@ from factors.residual import whitener
 from fgplan.driving.observation import Intent
 from fgplan.driving.proposals import route
 from fgplan.driving.routing import Routing, Way, joined
-from fgplan.hypothesis import Hypothesis
-from fgplan.measuring import Measurement
+from fgplan.hypothesis import Course, Hypothesis
+from fgplan.measuring import Measurement, Reading
 from fgplan.mixture import Mixture
 from fgplan.scenario import Scenario
 from fgplan.shared_control import (
@@ -48,35 +46,6 @@ CERTAIN = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Remembered:
-    """A hypothesis through time: the plan it had at each step, each until the next, then the
-    plan of now.
-
-    Args:
-        starts: When each plan was made, increasing, the last one 0 [s from now].
-        plans: On their own clocks, which begin at 0.
-    """
-
-    starts: Array
-    plans: tuple[Trajectory, ...]
-
-    @property
-    def times(self) -> Array:
-        """From the first plan's beginning to the last one's end [s from now]."""
-        return np.concatenate([self.starts[:-1], self.plans[-1].times])
-
-    def at(self, times: Any) -> Array:
-        """States (x, y, vx, vy) at times from now, shape (..., 4)."""
-        t = np.asarray(times, dtype=float)
-        which = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, None)
-        states = np.empty((*t.shape, 4))
-        for k in np.unique(which):
-            mine = which == k
-            states[mine] = self.plans[k].at(t[mine] - self.starts[k])
-        return states
-
-
-@dataclass(frozen=True, eq=False)
 class Operated:
     """What is remembered of the operator.
 
@@ -87,6 +56,7 @@ class Operated:
         via: The way through the waypoints, for which of them, and when it was searched [s].
         closest: When the robot was nearest to each place without a time [s], and how near, in
             standard deviations.
+        noted: When plans were looked at last [s].
         best: What the operator most probably wants, and since when it has been certain [s].
     """
 
@@ -95,6 +65,7 @@ class Operated:
     met: tuple[str, ...] = ()
     via: tuple[Way | None, bytes, float] = (None, b"", -np.inf)
     closest: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
+    noted: float = -np.inf
     best: tuple[str, float] | None = None
 
     def hear(
@@ -154,10 +125,9 @@ class Operated:
         known = self.plans.get(name) or (self.plans.get(followed) if followed else None)
         if not known or hypothesis.plan is None:
             return hypothesis
-        ahead = hypothesis.along
-        assert isinstance(ahead, Trajectory)
+        ahead = hypothesis.along.plans[-1]
         starts = np.array([start - now for start, _ in known] + [0.0])
-        course = Remembered(starts, (*(plan for _, plan in known), ahead))
+        course = Course(starts, (*(plan for _, plan in known), ahead))
         return replace(hypothesis, course=course)
 
     def note(
@@ -165,10 +135,10 @@ class Operated:
     ) -> Operated:
         """With the plans of this step, as long as there is data that they may be compared with."""
         now = scenario.now
-        times = [r.time for m in self.data for r in m.readings if r.time is not None]
-        if not (self.closest or any(t >= now for t in times)):
-            return self
-        oldest = min([now, *times, *(time for time, _ in self.closest.values())])
+        said = [t for m in self.data for r in m.readings if (t := _said(r)) is not None]
+        if not (self.closest or any(t > self.noted for t in said)):
+            return replace(self, noted=now)
+        oldest = min([now, *said, *(time for time, _ in self.closest.values())])
         plans = dict(self.plans)
         for h in hypotheses:
             name = route(h.label)
@@ -177,9 +147,9 @@ class Operated:
             before = plans.get(name) or plans.get(followed or "") or ()
             recent = tuple(one for one in before if one[0] < now)
             # The one plan in force at the oldest datum is still needed.
-            first = max(sum(start <= oldest for start, _ in recent) - 1, 0)
+            first = max(sum(start <= oldest + 1e-6 for start, _ in recent) - 1, 0)
             plans[name] = (*recent[first:], (now, h.plan))
-        return replace(self, plans=plans)
+        return replace(self, plans=plans, noted=now)
 
     def understand(
         self, mixture: Mixture, scenario: Scenario, driven: Trajectory
@@ -215,6 +185,11 @@ def _over(
         for j, reading in enumerate(measurement.readings)
     ]
     return bool(times) and max(times) < oldest
+
+
+def _said(reading: Reading) -> float | None:
+    """When it was said [s]; None for a place without a time."""
+    return reading.time if reading.said is None else reading.said
 
 
 def _is_met(waypoint: Waypoint, scenario: Scenario) -> bool:

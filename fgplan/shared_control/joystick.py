@@ -51,7 +51,7 @@ class Joystick:
             return (Reading(self.time, self.velocity, self.covariance, "velocity"),)
         shared = len(SHARES) * np.asarray(self.covariance, dtype=float)
         return tuple(
-            Reading(self.time + share * self.window, self.velocity, shared, "velocity")
+            Reading(self.time + share * self.window, self.velocity, shared, "velocity", self.time)
             for share in SHARES
         )
 

@@ -8,7 +8,8 @@ import pytest
 from fgplan import Density, OccupancyGrid, Robot, Scenario
 from fgplan.conditioning import log_likelihood
 from fgplan.driving import CandidateGoals, Observation, Outcome, Planner, Settings
-from fgplan.driving.operating import Operated, Remembered
+from fgplan.driving.operating import Operated
+from fgplan.hypothesis import Course
 from fgplan.shared_control import VIA, Candidate, Joystick, Waypoint
 from fgplan.trajectory import Trajectory
 
@@ -94,12 +95,10 @@ def test_the_choice_is_the_closed_form():
     for label in ("A", "B"):
         plans = memory.operated.plans[label]
         starts = np.array([start for start, _ in plans])
-        # The oldest data was measured when the hypothesis had its first plan that is remembered.
+        which = [np.searchsorted(starts, r.said + 1e-6, side="right") - 1 for r in readings]
         likelihood[label] = sum(
             log_likelihood((r,), plans[k][1], plans[k][0])
-            for r in readings
-            for k in [max(int(np.searchsorted(starts, r.time, side="right")) - 1, 0)]
-            if r.time < decision.time or plans[k][0] == decision.time
+            for r, k in zip(readings, which, strict=True)
         )
     assert likelihood["A"] != pytest.approx(likelihood["B"], abs=1)
     followed = drive.labels[-2]
@@ -190,10 +189,11 @@ def test_the_course_of_a_hypothesis_is_the_plan_of_each_time():
             times, np.column_stack([x + v * times, 0 * times]), np.tile([v, 0.0], (3, 1))
         )
 
-    course = Remembered(np.array([-2.0, -0.5, 0.0]), (going(0, 1.0), going(5, 2.0), going(9, 3.0)))
+    course = Course(np.array([-2.0, -0.5, 0.0]), (going(0, 1.0), going(5, 2.0), going(9, 3.0)))
     np.testing.assert_allclose(course.at(np.array([-3.0, -2.0, -1.0]))[:, 0], [-1, 0, 1])
     np.testing.assert_allclose(course.at(-0.5), [5, 0, 2, 0])
     np.testing.assert_allclose(course.at(np.array([[0.0, 1.5]]))[0, :, 2], 3.0)
+    np.testing.assert_allclose(course.at(1.0, said=-0.2), [8, 0, 2, 0])
     np.testing.assert_allclose(course.times, [-2.0, -0.5, 0.0, 1.0, 2.0])
 
 
