@@ -13,6 +13,7 @@ from fgplan import keys
 from fgplan.crowd import believe, seen
 from fgplan.hypotheses import hypothesise
 from fgplan.model import Model, Term, build
+from fgplan.obeying import obeying
 from fgplan.products import crossed
 from fgplan.scenario import Scenario
 from fgplan.tactical import of_people
@@ -58,8 +59,9 @@ def models(scenario: Scenario, factors: Iterable[gtsam.NonlinearFactor] = ()) ->
     validate(scenario)
     d = scenario.density
     belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
-    scenario = of_people(scenario, belief)
-    proposed = crossed(scenario, hypothesise(scenario, belief))
+    stated = hypothesise(scenario, belief)
+    scenario = of_people(obeying(scenario), belief)
+    proposed = crossed(scenario, stated)
     built = build(scenario, belief, proposed, factors)
     return {h.label: model for h, model in zip(proposed, built, strict=True)}
 

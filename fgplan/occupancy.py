@@ -186,6 +186,17 @@ class OccupancyGrid:
         centre = self.cell_to_world(np.zeros(2))
         return SignedDistanceField(values, centre, self.resolution, float(self.origin[2]))
 
+    @cached_property
+    def centres(self) -> Array:
+        """Centres of all cells, shape (rows, cols, 2) [m]."""
+        rows, cols = np.indices(self.data.shape)
+        return self.cell_to_world(np.stack([rows, cols], axis=-1))
+
+    def with_obstacles(self, cells: Any) -> OccupancyGrid:
+        """The map with some cells occupied beside those that are, shape (rows, cols)."""
+        data = np.where(cells, 100, self.data).astype(np.int8)
+        return OccupancyGrid(data, self.resolution, self.origin, self.unknown_is_free)
+
     def cell_to_world(self, cells: Any) -> Array:
         """Centres of the cells (row, column), shape (..., 2) -> (..., 2) [m]."""
         rc = np.asarray(cells, dtype=float) + 0.5

@@ -23,6 +23,7 @@ from fgplan.inference.laplace import QUICK
 from fgplan.inference.map import MAP
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
+from fgplan.obeying import obeying
 from fgplan.products import crossed
 from fgplan.safety import People, brake
 from fgplan.scenario import Scenario
@@ -94,8 +95,8 @@ def plan(
     d = scenario.density
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
-    scenario = of_people(scenario, belief)
     stated = tuple(hypotheses(scenario, belief))
+    scenario = of_people(obeying(scenario), belief)
     proposed = reweigh(scenario, crossed(scenario, stated))
     ready = perf_counter()
 

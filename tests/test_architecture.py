@@ -29,7 +29,7 @@ RANKS = [
     {"validation"},
     {"crowd"},
     {"tactical"},
-    {"task_file"},
+    {"obeying", "task_file"},
     {"scenario_file"},
     {"safety"},
     {"starts", "mixture", "recordings"},

@@ -24,6 +24,7 @@ from fgplan.driving.tracking import People, Tracker
 from fgplan.errors import NoPlan
 from fgplan.hypothesis import Hypothesis
 from fgplan.mixture import Component, Mixture
+from fgplan.obeying import closed
 from fgplan.planner import plan
 from fgplan.scenario import Robot, Scenario
 from fgplan.shared_control import Lead, pointed
@@ -214,7 +215,13 @@ class Planner:
             belief.radii,
         )
         safe = guard(
-            scenario, belief, chosen.robot, others, settings.period, settings.guard, settings.lag
+            closed(scenario),
+            belief,
+            chosen.robot,
+            others,
+            settings.period,
+            settings.guard,
+            settings.lag,
         )
         label = _route_of(chosen.label, memory.followed)
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
@@ -337,7 +344,13 @@ class Planner:
         predicted = Others(times, belief.predict(times)[0], belief.radii)
         settings = self.settings
         return guard(
-            scenario, belief, wanted, predicted, settings.period, settings.guard, settings.lag
+            closed(scenario),
+            belief,
+            wanted,
+            predicted,
+            settings.period,
+            settings.guard,
+            settings.lag,
         )
 
 

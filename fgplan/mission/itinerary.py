@@ -115,6 +115,42 @@ def itineraries(
     return _Search(mission, grid, regions, np.asarray(start, dtype=float), radius, end).best(count)
 
 
+@dataclass(frozen=True)
+class Rules:
+    """What the automaton's state says about where the robot may be now.
+
+    Args:
+        forbidden: Regions of this map to be in which would fail the mission.
+        held: Regions to leave which would.
+    """
+
+    forbidden: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+
+
+def rules(
+    mission: Mission,
+    grid: OccupancyGrid | None,
+    regions: tuple[Region, ...],
+    position: Any,
+    radius: float,
+) -> Rules:
+    """What a mission requires of every place from now on, until its state changes.
+
+    Args:
+        mission: What is asked, and what it has read.
+        grid: The map; None: open space.
+        regions: All regions of the scenario.
+        position: Where the robot is, shape (2,) [m].
+        radius: Of the robot [m].
+
+    Raises:
+        MissionError: a name in it is neither region nor fact.
+    """
+    here = np.asarray(position, dtype=float)
+    return _Search(mission, grid, regions, here, radius, None).rules()
+
+
 class _Search:
     def __init__(
         self,
@@ -155,6 +191,19 @@ class _Search:
         if not walks:
             raise self._no_route()
         return _labelled([self._itinerary(walk) for walk in walks])
+
+    def rules(self) -> Rules:
+        """What every letter that does not fail the mission has in common."""
+        step, live = self.automaton.step, self.automaton.live
+        if 0 not in live:
+            return Rules()
+        here = self.map.at(self.start)
+        good = [x for x in self._letters if x == here or step(0, x | self.known) in live]
+        names = [region.name for region in self.map.regions]
+        return Rules(
+            tuple(name for name in names if not any(name in letter for letter in good)),
+            tuple(name for name in names if all(name in letter for letter in good)),
+        )
 
     # The search
 

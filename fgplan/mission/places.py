@@ -209,7 +209,7 @@ def places(
         grid = OccupancyGrid.from_polygons([], room, cell)
     shut = [region for region in regions if region.name in closed]
     if shut:
-        grid = _blocked(grid, np.any([r.contains(_centres(grid)) for r in shut], axis=0))
+        grid = grid.with_obstacles(np.any([r.contains(grid.centres) for r in shut], axis=0))
     return Places(grid, tuple(r for r in regions if r.name not in closed), radius)
 
 
@@ -231,23 +231,9 @@ def room_for(
 @lru_cache(maxsize=16)
 def _carved(places: Places, letters: frozenset[Letter]) -> OccupancyGrid:
     grid = places.grid
-    number = _numbers(places.regions, _centres(grid))
+    number = _numbers(places.regions, grid.centres)
     values = [v for v in np.unique(number).tolist() if _letter(places.regions, v) in letters]
-    return _blocked(grid, np.isin(number, values))
-
-
-def _blocked(grid: OccupancyGrid, cells: Mask) -> OccupancyGrid:
-    data = np.where(cells, 100, grid.data).astype(np.int8)
-    return OccupancyGrid(data, grid.resolution, grid.origin, grid.unknown_is_free)
-
-
-def _centres(grid: OccupancyGrid) -> Array:
-    """Centres of a map's cells, shape (rows, cols, 2) [m]."""
-    rows, cols = grid.data.shape
-    x, y = np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5)
-    c, s = np.cos(grid.origin[2]), np.sin(grid.origin[2])
-    local = grid.resolution * np.stack([x, y], axis=-1)
-    return np.asarray(local @ np.array([[c, s], [-s, c]]) + grid.origin[:2])
+    return grid.with_obstacles(np.isin(number, values))
 
 
 def _numbers(regions: tuple[Region, ...], points: Array) -> NDArray[np.int64]:
