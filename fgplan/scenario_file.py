@@ -158,6 +158,7 @@ class _File(Table):
     regions: list[RegionTable] = []
     mission: MissionTable | None = None
     tactics: list[TacticTable] = []
+    world: dict[str, Any] | None = None  # of a simulation: fgplan.simulation.file reads it
 
 
 MODELS = {"holonomic": Holonomic, "differential": DifferentialDrive, "car": CarLike}
@@ -203,13 +204,26 @@ def load(path: Path) -> Scenario:
         ScenarioError: the file is missing, is not TOML, or says something that cannot be planned;
             all mistakes are reported at once, those of its map among them.
     """
-    table, mistakes = _structure(_read(path))
+    return parse(read(path), path)
+
+
+def parse(raw: Mapping[str, Any], path: Path) -> Scenario:
+    """A scenario from the tables of a file.
+
+    Args:
+        raw: As TOML gives them.
+        path: Where they are from; the map's file is relative to it.
+
+    Raises:
+        ScenarioError: as `load`.
+    """
+    table, mistakes = _structure(raw)
     return _understand(table, mistakes, path)
 
 
 def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
     """The scenario, unless there are mistakes of structure, map or meaning."""
-    reported = [mistake.path for mistake in mistakes]
+    reported = [found.path for found in mistakes]
     unclear = any(known.startswith("map") for known in reported)
     grid, wrong = _map(table.map, path.parent, unclear)
     model, misplaced = _model(table.robot, "robot.model" in reported)
@@ -221,7 +235,7 @@ def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
         *no_task,
         *_goal(table),
         *_choices(table),
-        *(_respelled(mistake) for mistake in find_mistakes(scenario)),
+        *map(_respelled, find_mistakes(scenario)),
         *placement(scenario),
     )
     new = [m for m in meant if not any(_overlap(m.path, known) for known in reported)]
@@ -230,7 +244,7 @@ def _understand(table: _File, mistakes: list[Mistake], path: Path) -> Scenario:
     return scenario
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read(path: Path) -> dict[str, Any]:
     """The tables of a TOML file.
 
     Raises:
@@ -265,32 +279,40 @@ def _structure(raw: Mapping[str, Any]) -> tuple[_File, list[Mistake]]:
     while True:
         try:
             table = _File.model_validate(tables)
-            return table, list({mistake.path: mistake for mistake in mistakes}.values())
+            return table, list({found.path: found for found in mistakes}.values())
         except ValidationError as error:
             # Every round replaces each value that is wrong by one that is not, from the inside
             # out, so that there is an end. A missing key may follow from a value taken out.
-            known = [mistake.path for mistake in mistakes]
+            known = [found.path for found in mistakes]
             for issue in error.errors(include_url=False):
                 loc = issue["loc"]
-                mistake = _mistake(loc, issue)
-                if not any(_overlap(mistake.path, path) for path in known):
-                    mistakes.append(mistake)
+                found = mistake(loc, issue)
+                if not any(_overlap(found.path, path) for path in known):
+                    mistakes.append(found)
                 _repair(tables, loc, issue["type"])
 
 
-def _mistake(loc: tuple[int | str, ...], issue: Mapping[str, Any]) -> Mistake:
+def mistake(
+    loc: tuple[int | str, ...], issue: Mapping[str, Any], root: type[BaseModel] = _File
+) -> Mistake:
+    """What pydantic found, as a mistake.
+
+    Args:
+        loc: Where, from the root.
+        issue: One entry of `ValidationError.errors()`.
+        root: The table of the whole file.
+    """
     kind = issue["type"]
     if kind == "extra_forbidden":
-        return Mistake(_spell(loc), issue["input"], _nearest(loc))
+        return Mistake(_spell(loc), issue["input"], _nearest(loc, root))
     if kind == "missing" and isinstance(loc[-1], int):
         return Mistake(_spell(loc[:-1]), issue["input"], "has too few entries")
     value = None if kind == "missing" else issue["input"]
     return Mistake(_spell(loc), value, _MENDS.get(kind, issue["msg"]))
 
 
-def _nearest(loc: tuple[int | str, ...]) -> str:
+def _nearest(loc: tuple[int | str, ...], model: type[BaseModel]) -> str:
     """How to mend an unknown key."""
-    model: type[BaseModel] = _File
     for part in loc[:-1]:
         if isinstance(part, str):
             model = _table_of(model.model_fields[part].annotation)

@@ -149,7 +149,7 @@ def test_everything_that_a_file_can_say_arrives(tmp_path: Path) -> None:
     ],
 )
 def test_keys_of_a_table_are_the_fields_of_its_dataclass(
-    table: type[scenario_file._Table], owner: type, renamed: dict[str, set[str]]
+    table: type[scenario_file.Table], owner: type, renamed: dict[str, set[str]]
 ) -> None:
     keys = set().union(*(renamed.get(key, {key}) for key in table.model_fields))
     assert keys == {field.name for field in dataclasses.fields(owner)}
