@@ -55,6 +55,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+app.command("simulate")(command.simulate)
 app.add_typer(command.evaluate, name="evaluate")
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import shutil
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -13,8 +16,9 @@ from typing import Annotated, Any
 
 import typer
 
-from fgplan.simulation import crowdnav, recorded
+from fgplan.simulation import crowdnav, metrics, recorded
 from fgplan.simulation.batch import Job, Measure, cluster, local, run_all
+from fgplan.simulation.file import FromFile
 from fgplan.simulation.planners import named
 from fgplan.terminal import progress, reported, write
 
@@ -42,6 +46,72 @@ class Layout(StrEnum):
 
     CIRCLE = "circle"
     SQUARE = "square"
+
+
+COLUMNS = {
+    "success": "success", "collisions": "colli-\nsions", "time": "time\ns",
+    "path_ratio": "path\nratio", "min_separation": "separation\nm",
+    "stopped_fraction": "stopped", "switches": "switches", "people_delay": "delay of\npeople s",
+    "step_ms_p50": "step p50\nms", "step_ms_p99": "step p99\nms",
+}  # fmt: skip
+"""Of the table of `simulate`, with their heads."""
+
+
+def simulate(
+    scenario: Annotated[list[Path], typer.Argument(help="Simulation files.")],
+    planner: Annotated[
+        list[str], typer.Option(help="Who drives; may be given again. See docs/simulation.md.")
+    ] = ["fgplan"],  # noqa: B006 - typer's own way
+    seeds: Annotated[int, typer.Option(help="How many, from --seed-offset on.", min=1)] = 20,
+    seed_offset: Annotated[int, typer.Option(help="The first seed.", min=0)] = 0,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Change a key of the files: world.people[0].count=12."),
+    ] = None,
+    json_to: JsonTo = None,
+    csv_to: Annotated[
+        Path | None, typer.Option("--csv", help="Write a line a run to a CSV file.")
+    ] = None,
+    gif: Annotated[
+        Path | None, typer.Option(help="Write a film of the first seed of the first planner.")
+    ] = None,
+    store: Store = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
+) -> None:
+    """Drive in simulated worlds: a row a planner and scenario, on the same seeds."""
+    with reported():
+        makers = [named(name) for name in planner]
+        setups = [FromFile(path, _changes(change or [])) for path in scenario]
+        for setup in setups:
+            setup.check()
+        every = range(seed_offset, seed_offset + seeds)
+        jobs = [
+            Job(setup, setup.name, name, seed)
+            for setup in setups for name in planner for seed in every
+        ]  # fmt: skip
+        rows = _run(jobs, metrics.row, store, workers, scheduler)
+        if gif is not None:
+            from fgplan.simulation.animation import film
+
+            film(setups[0](seed_offset), makers[0], gif)
+    lines = []
+    for setup in setups:
+        for name in planner:
+            own = [r for r in rows if (r["scenario"], r["planner"]) == (setup.name, name)]
+            lines.append({"scenario": setup.name, "planner": name, **metrics.summary(own)})
+    if json_to == "-":
+        print(json.dumps(lines, allow_nan=False))
+    else:
+        _table(lines)
+    written = [] if gif is None else [gif]
+    if json_to not in (None, "-"):
+        written.append(write(Path(str(json_to)), json.dumps(lines, allow_nan=False)))
+    if csv_to is not None:
+        written.append(write(csv_to, _csv(rows)))
+    if written and json_to != "-":
+        print(f"wrote     {', '.join(map(str, written))}")
+    _complain(rows)
 
 
 @evaluate.command("crowdnav")
@@ -113,6 +183,45 @@ def _run(
     place = local(workers) if scheduler is None else cluster(scheduler)
     with place as executor, progress() as tell:
         return run_all(jobs, executor, store, measure, tell)
+
+
+def _changes(stated: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Keys and values of --set."""
+    pairs = [text.partition("=") for text in stated]
+    for text, (key, sign, _) in zip(stated, pairs, strict=True):
+        if not key or not sign:
+            raise typer.BadParameter(f"{text!r} is not KEY=VALUE", param_hint="--set")
+    return tuple((key, value) for key, _, value in pairs)
+
+
+def _table(lines: Sequence[dict[str, Any]]) -> None:
+    """A row a planner and scenario; below each number its interval."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("scenario", min_width=18, overflow="fold")
+    table.add_column("planner", no_wrap=True)
+    for head in ("runs", *COLUMNS.values()):
+        table.add_column(head, justify="right", no_wrap=True)
+    for line in lines:
+        cells = []
+        for name in COLUMNS:
+            value, interval = line[name], line[f"{name}_ci"]
+            between = "" if interval is None else "\n{:.2f}–{:.2f}".format(*interval)
+            cells.append("–" if value is None else f"{value:.2f}{between}")
+        table.add_row(line["scenario"], line["planner"], str(line["episodes"]), *cells)
+    Console(highlight=False, width=max(160, shutil.get_terminal_size().columns)).print(table)
+
+
+def _csv(rows: Sequence[dict[str, Any]]) -> str:
+    """A line a run."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().rstrip("\n")
 
 
 def _tell(lines: Sequence[dict[str, Any]], json_to: str | None) -> None:

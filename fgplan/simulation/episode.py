@@ -52,6 +52,7 @@ class Episode:
         delays: Time each person lost against walking on alone, shape (n,) [s]; empty where
             people go nowhere in particular.
         discomfort: The gap below which people feel uneasy [m].
+        unsafe: Number of commands that the policy's own check calls a contact.
         error: What the policy raised, in words.
     """
 
@@ -71,6 +72,7 @@ class Episode:
     reference: float
     delays: Array
     discomfort: float
+    unsafe: int = 0
     error: str = ""
 
 
@@ -126,6 +128,8 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             grid=seen.grid,
             goal=news,
         )
+        if world.tamper is not None:
+            observation = world.tamper(observation)
         before = perf_counter()
         try:
             command = policy.step(observation)
@@ -201,5 +205,9 @@ class _Log:
             reference=reference,
             delays=np.array(delays),
             discomfort=world.rules.discomfort,
+            unsafe=sum(
+                command.decision is not None and not command.decision.action.safe
+                for command, *_ in self.steps
+            ),
             error=error,
         )

@@ -12,6 +12,7 @@ from fgplan.occupancy import OccupancyGrid
 from fgplan.peers.costmap import Inflation
 from fgplan.peers.dwa import Window
 from fgplan.peers.layered import LayeredStack, Settings, Status
+from fgplan.roadmap import roadmap
 from fgplan.simulation.policy import Command
 from fgplan.simulation.world import World
 
@@ -47,6 +48,9 @@ class Layered:
         self._goal = np.asarray(scenario.goal, dtype=float)
         self._grid = _open(robot.position, self._goal) if scenario.grid is None else scenario.grid
         self._people: Array = np.array([track.positions[-1] for track in scenario.tracks])
+        self._label = 0
+        self._path: Array | None = None
+        self._radius = robot.radius
         self._stack = LayeredStack(
             Settings(
                 window=Window(
@@ -82,7 +86,24 @@ class Layered:
             self._goal,
         )
         twist = command.twist
-        return Command(twist.linear_x * forward, twist, OUTCOMES[command.status])
+        return Command(
+            twist.linear_x * forward, twist, OUTCOMES[command.status], self._named(observation)
+        )
+
+    def _named(self, observation: Observation) -> str | None:
+        """A number for the global plan, and the next one when it winds about the obstacles in
+        another way than the last plan: what a switch is for a stack without hypotheses."""
+        path, last = self._stack.path, self._path
+        if path is None:
+            return None
+        if last is not None and path is not last and observation.grid is None:
+            here = observation.position
+            nearest = int(np.argmin(np.linalg.norm(last - here, axis=1)))
+            loop = np.vstack([here, path, last[: nearest - 1 if nearest else None : -1]])
+            road = roadmap(self._grid, self._radius)
+            self._label += bool(np.any(road.signature(road.to_lattice(loop))))
+        self._path = path
+        return f"plan {self._label}"
 
 
 def _open(start: Array, goal: Array) -> OccupancyGrid:

@@ -52,6 +52,7 @@ def row(episode: Episode) -> Row:
         "switches": switches(episode.labels),
         "discomfort": float(np.mean(episode.gaps < episode.discomfort)) if len(steps) else 0.0,
         "people_delay": float(episode.delays.mean()) if len(episode.delays) else None,
+        "unsafe": episode.unsafe,
         "steps": len(steps),
         "step_ms_p50": float(times[0]),
         "step_ms_p95": float(times[1]),

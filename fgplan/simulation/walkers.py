@@ -37,6 +37,7 @@ class Walker:
         ends: At the last waypoint they "stay", walk all waypoints "back" and forth, or are gone
             and come in "anew" at `entry`, as somebody else.
         entry: Where they come in anew, shape (2,) [m]; None is where they were at the start.
+        begins: They stand until then [s].
     """
 
     position: Array
@@ -47,6 +48,7 @@ class Walker:
     max_speed: float | None = None
     ends: Literal["stay", "back", "anew"] = "stay"
     entry: Array | None = None
+    begins: float = 0.0
 
 
 class Walkers:
@@ -81,6 +83,8 @@ class Walkers:
         self._stay = np.array([w.ends == "stay" for w in walkers], dtype=bool)
         self._anew = np.array([w.ends == "anew" for w in walkers], dtype=bool)
         self._rows = np.arange(count)
+        self._begins = np.array([w.begins for w in walkers], dtype=float)
+        self._time = 0.0
 
     @property
     def targets(self) -> Array:
@@ -95,12 +99,15 @@ class Walkers:
         settling = self._stay & (self._at == self._last)
         settled = settling & (away < self._speeds)
         share = np.where(settling, np.minimum(self._speeds, away), self._speeds)
-        wishes = np.where(self.present, share, 0.0)[:, None] * direction
+        # 1e-9: a sum of steps must meet the time that was stated.
+        going = self.present & (self._time >= self._begins - 1e-9)
+        wishes = np.where(going, share, 0.0)[:, None] * direction
         self.velocities = self._motion(self.positions, self.velocities, wishes, dt, robot)
         self.velocities[~self.present] = 0.0
         self.positions = self.positions + dt * self.velocities
+        self._time += dt
         gained = np.einsum("ij,ij->i", self.velocities, direction) / np.maximum(self._speeds, 1e-9)
-        counted = self.present & ~settled & (self._speeds > 0)
+        counted = going & ~settled & (self._speeds > 0)
         self.delays += dt * np.where(counted, 1.0 - gained, 0.0)
         self._arrive(robot)
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.driving import Detection
+from fgplan.driving import Detection, Observation
 from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import Scenario
 from fgplan.simulation.body import Body, Limits
@@ -88,6 +88,7 @@ class World:
         rules: Of the run.
         grid: The true map, which stops the robot; the scenario's may say less.
         events: By time.
+        tamper: What happens to an observation before a policy sees it; faults are put in here.
         reference: Length of the shortest way from the start to the goal [m]; None is the straight
             line.
     """
@@ -100,6 +101,7 @@ class World:
     rules: Rules = Rules()
     grid: OccupancyGrid | None = None
     events: tuple[Event, ...] = ()
+    tamper: Callable[[Observation], Observation] | None = None
     reference: float | None = None
 
 
