@@ -52,6 +52,7 @@ class Episode:
         delays: Time each person lost against walking on alone, shape (n,) [s]; empty where
             people go nowhere in particular.
         discomfort: The gap below which people feel uneasy [m].
+        entries: How often the robot came into each of the regions on its way.
         unsafe: Number of commands that the policy's own check calls a contact.
         error: What the policy raised, in words.
     """
@@ -72,6 +73,7 @@ class Episode:
     reference: float
     delays: Array
     discomfort: float
+    entries: tuple[int, ...] = ()
     unsafe: int = 0
     error: str = ""
 
@@ -111,6 +113,8 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     log = _Log(body, people)
     dt = rules.period / rules.substeps
     start, step, end, error = world.scenario.now, 0, End.TIMEOUT, ""
+    inside = [False for _ in world.via]
+    entries = [0 for _ in world.via]
     while step * rules.period < rules.time_limit - 1e-9:
         elapsed = step * rules.period
         time = round(start + elapsed, 9)
@@ -152,14 +156,18 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
         if gap < 0 and rules.contact_ends:
             end = End.COLLISION
             break
-        if float(np.hypot(*(body.position - goal))) < rules.tolerance:
+        for i, region in enumerate(world.via):
+            now = bool(region.contains(body.position))
+            entries[i] += now and not inside[i]
+            inside[i] = now
+        if all(entries) and float(np.hypot(*(body.position - goal))) < rules.tolerance:
             end = End.GOAL
             break
     reference = world.reference
     if reference is None:
         reference = float(np.hypot(*(goal - world.scenario.robot.position)))
     delays = getattr(people, "delays", np.zeros(0))
-    return log.episode(world, end, rules.period, goal, reference, delays, error)
+    return log.episode(world, end, goal, reference, delays, tuple(entries), error)
 
 
 class _Log:
@@ -185,13 +193,13 @@ class _Log:
         self.steps.append((command, took, gap, blocked))
 
     def episode(
-        self, world: World, end: End, period: float, goal: Array, reference: float, delays: Array,
-        error: str,
+        self, world: World, end: End, goal: Array, reference: float, delays: Array,
+        entries: tuple[int, ...], error: str,
     ) -> Episode:  # fmt: skip
         return Episode(
             name=world.name,
             end=end,
-            times=np.arange(len(self.states)) * np.float64(period),
+            times=np.arange(len(self.states)) * np.float64(world.rules.period),
             robot=np.array(self.states),
             headings=np.array(self.headings),
             people=np.array(self.people),
@@ -205,6 +213,7 @@ class _Log:
             reference=reference,
             delays=np.array(delays),
             discomfort=world.rules.discomfort,
+            entries=entries,
             unsafe=sum(
                 command.decision is not None and not command.decision.action.safe
                 for command, *_ in self.steps

@@ -50,6 +50,7 @@ def row(episode: Episode) -> Row:
         "min_clearance": _finite(episode.gaps.min(initial=np.inf)),
         "stopped_fraction": float(stopped.mean()) if len(steps) else 0.0,
         "switches": switches(episode.labels),
+        "revisits": sum(max(0, count - 1) for count in episode.entries),
         "discomfort": float(np.mean(episode.gaps < episode.discomfort)) if len(steps) else 0.0,
         "people_delay": float(episode.delays.mean()) if len(episode.delays) else None,
         "unsafe": episode.unsafe,
@@ -110,7 +111,7 @@ def bootstrap(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
 
 RATES = ("success",)
 MEANS = (
-    "collisions", "time", "path_ratio", "min_separation", "stopped_fraction", "switches",
+    "collisions", "time", "path_ratio", "min_separation", "stopped_fraction", "switches", "revisits",
     "discomfort", "people_delay", "step_ms_p50", "step_ms_p95", "step_ms_p99",
 )  # fmt: skip
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fgplan.driving import Detection, Observation
 from fgplan.occupancy import OccupancyGrid
+from fgplan.regions import Region
 from fgplan.scenario import Scenario
 from fgplan.simulation.body import Body, Limits
 from fgplan.simulation.gaps import Gap, moved
@@ -88,6 +89,7 @@ class World:
         rules: Of the run.
         grid: The true map, which stops the robot; the scenario's may say less.
         events: By time.
+        via: Regions to be visited, each at least once, before the goal counts.
         tamper: What happens to an observation before a policy sees it; faults are put in here.
         reference: Length of the shortest way from the start to the goal [m]; None is the straight
             line.
@@ -101,6 +103,7 @@ class World:
     rules: Rules = Rules()
     grid: OccupancyGrid | None = None
     events: tuple[Event, ...] = ()
+    via: tuple[Region, ...] = ()
     tamper: Callable[[Observation], Observation] | None = None
     reference: float | None = None
 

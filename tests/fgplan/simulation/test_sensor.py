@@ -63,7 +63,7 @@ def test_latency_shows_the_past() -> None:
 
 
 def test_who_is_out_of_view_is_not_seen() -> None:
-    seen = looks(Quality(view=FieldOfView(range=2.0)), 20)
+    seen = looks(Quality(view=FieldOfView(range=2.05)), 20)
     assert [len(s.detections) for s in seen][::5] == [1, 1, 1, 0]
 
 
