@@ -26,8 +26,15 @@ from fgplan.simulation.extra import needed
 from fgplan.simulation.planners import named
 from fgplan.simulation.world import Setup
 
+ANSWER = 10.0
+"""A scheduler must answer within this time [s]."""
+
 Row = dict[str, Any]
 Measure = Callable[[Episode], Row]
+
+
+class NoScheduler(FgplanError, OSError):
+    """No dask scheduler answers at an address."""
 
 
 class BadStore(FgplanError, ValueError):
@@ -158,9 +165,16 @@ def cluster(address: str) -> Iterator[Executor]:
 
     Raises:
         MissingExtra: dask's `distributed` is not installed.
-        OSError: no scheduler answers there.
+        NoScheduler: no scheduler answers there.
     """
-    client = needed("distributed", "cluster").Client(address)
+    distributed = needed("distributed", "cluster")
+    try:
+        client = distributed.Client(address, timeout=ANSWER)
+    except (OSError, ValueError) as error:
+        raise NoScheduler(
+            f"scheduler: got {address!r}; give the address of a dask scheduler that runs, such as "
+            f"tcp://127.0.0.1:8786 ({error})"
+        ) from error
     try:
         yield client.get_executor(pure=False)
     finally:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fgplan.simulation.batch import BadStore, Job, play, read, run_all
+from fgplan.simulation.batch import BadStore, Job, cluster, local, play, read, run_all
 from fgplan.simulation.crowdnav import CrowdNav
 from fgplan.simulation.world import World
 
@@ -96,3 +96,22 @@ def test_results_of_workers_without_the_disk_are_added(tmp_path: Path) -> None:
     with Far() as pool:
         run_all(jobs(CrowdNav(), 2), pool, store)
     assert len(read(store)) == 2
+
+
+def test_a_dask_cluster_gives_the_same(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    store = tmp_path / "runs.jsonl"
+    with (
+        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as machines,
+        cluster(machines.scheduler_address) as executor,
+    ):
+        rows = run_all(jobs(CrowdNav(), 2), executor, store)
+    assert without_times(rows) == without_times(run_all(jobs(CrowdNav(), 2)))
+    assert len(read(store)) == 2
+
+
+def test_processes_of_this_machine_give_the_same() -> None:
+    with local(2) as executor:
+        rows = run_all(jobs(CrowdNav(), 2), executor)
+    assert without_times(rows) == without_times(run_all(jobs(CrowdNav(), 2)))
