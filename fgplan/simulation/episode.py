@@ -131,6 +131,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             detections=seen.detections,
             grid=seen.grid,
             goal=news,
+            operator=() if world.operator is None else world.operator(time, body, people),
         )
         if world.tamper is not None:
             observation = world.tamper(observation)

@@ -11,6 +11,7 @@ import numpy as np
 
 from fgplan.driving import Settings
 from fgplan.errors import FgplanError
+from fgplan.simulation.arbitration import BlendingPlanner, TwistMuxPlanner
 from fgplan.simulation.driver import Fgplan
 from fgplan.simulation.layered import Layered
 from fgplan.simulation.peers import OrcaRobot, Straight
@@ -31,6 +32,8 @@ PLANNERS: dict[str, Maker] = {
     "fgplan-joint": Fgplan(crowd="joint"),
     "fgplan-no-commitment": Fgplan(settings=replace(WHOLE, commitment=0.0)),
     "fgplan-no-wait": Fgplan(settings=replace(WHOLE, wait=0.0)),
+    "fgplan-blending": BlendingPlanner(),
+    "fgplan-switching": TwistMuxPlanner(),
     "layered": Layered,
     "layered-global": partial(Layered, people_in="global"),
     "orca": OrcaRobot,

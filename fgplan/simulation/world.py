@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.driving import Detection, Observation
+from fgplan.measuring import Measurement
 from fgplan.occupancy import OccupancyGrid
 from fgplan.regions import Region
 from fgplan.scenario import Scenario
@@ -63,6 +64,14 @@ class Sensor(Protocol):
         ...
 
 
+class Operator(Protocol):
+    """Somebody who tells the robot where to go while it drives."""
+
+    def __call__(self, time: float, body: Body, people: People) -> tuple[Measurement, ...]:
+        """What is said at a time [s]; called once a period."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Event:
     """Something that happens at a time of a run.
@@ -91,6 +100,7 @@ class World:
         events: By time.
         via: Regions to be visited, each at least once, before the goal counts.
         tamper: What happens to an observation before a policy sees it; faults are put in here.
+        operator: Who holds a stick; None is nobody.
         reference: Length of the shortest way from the start to the goal [m]; None is the straight
             line.
     """
@@ -105,6 +115,7 @@ class World:
     events: tuple[Event, ...] = ()
     via: tuple[Region, ...] = ()
     tamper: Callable[[Observation], Observation] | None = None
+    operator: Operator | None = None
     reference: float | None = None
 
 

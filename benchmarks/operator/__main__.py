@@ -1,0 +1,60 @@
+"""`python -m benchmarks.operator` drives S6a, S6b and S6c: by stick, against a stick, to places.
+
+`--json -` prints JSON alone, `--short` is for continuous integration.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from benchmarks.operator import rows
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Drive, and print a table for each case."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.operator", description=__doc__)
+    parser.add_argument("--short", action="store_true", help="about a minute")
+    parser.add_argument("--json", metavar="FILE", help="write JSON to FILE; - is standard output")
+    options = parser.parse_args(arguments)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done)
+
+        found = list(rows(options.short, tell))
+    text = json.dumps({"rows": found}, allow_nan=False)
+    if options.json == "-":
+        sys.stdout.write(text + "\n")
+        return
+    if options.json:
+        Path(options.json).write_text(text + "\n", encoding="utf-8")
+    for case in ("S6a", "S6b", "S6c"):
+        mine = [row for row in found if row["case"] == case]
+        names = [name for name in mine[0] if not name.endswith("_ci") and name != "case"]
+        print(f"\n{case}\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
+        for row in mine:
+            print(f"| {' | '.join(_cell(row, name) for name in names)} |")
+
+
+def _cell(row: dict[str, Any], name: str) -> str:
+    value, interval = row[name], row.get(f"{name}_ci")
+    shown = f"{value:.3g}" if isinstance(value, float) else str(value)
+    if isinstance(value, tuple):
+        shown = "; ".join(value)
+    return shown if interval is None else "{} [{:.2f}, {:.2f}]".format(shown, *interval)
+
+
+if __name__ == "__main__":
+    main()
