@@ -1,4 +1,4 @@
-"""Shared control as it is usually arbitrated, to drive beside fgplan: autonomy first, then the stick.
+"""Shared control as it is usually arbitrated: autonomy first, then the stick.
 
 Autonomy is fgplan's own planner that is told nothing of the operator.
 """
@@ -80,7 +80,7 @@ class TwistMuxPlanner:
     """Makes `Switching` for a world."""
 
     autonomy: Fgplan = Fgplan()  # noqa: RUF009 - frozen
-    mux: TwistMux = TwistMux()
+    mux: TwistMux = TwistMux()  # noqa: RUF009 - frozen
 
     def __call__(self, world: World) -> Switching:
         return Switching(self.autonomy(world), self.mux)

@@ -111,8 +111,8 @@ def bootstrap(values: Sequence[float], seed: int = 0) -> tuple[float, float]:
 
 RATES = ("success",)
 MEANS = (
-    "collisions", "time", "path_ratio", "min_separation", "stopped_fraction", "switches", "revisits",
-    "discomfort", "people_delay", "step_ms_p50", "step_ms_p95", "step_ms_p99",
+    "collisions", "time", "path_ratio", "min_separation", "stopped_fraction", "switches",
+    "revisits", "discomfort", "people_delay", "step_ms_p50", "step_ms_p95", "step_ms_p99",
 )  # fmt: skip
 
 
