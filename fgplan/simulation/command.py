@@ -94,7 +94,8 @@ def simulate(
         if gif is not None:
             from fgplan.simulation.animation import film
 
-            film(setups[0](seed_offset), makers[0], gif)
+            world = setups[0](seed_offset)
+            film(world, makers[0](world), gif)
     lines = []
     for setup in setups:
         for name in planner:
