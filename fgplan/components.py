@@ -15,7 +15,7 @@ from fgplan.inference.base import Inference, Inferred, Progress
 from fgplan.inference.laplace import QUICK
 from fgplan.mixture import Component
 from fgplan.model import Model
-from fgplan.safety import Check, People, check
+from fgplan.safety import Check, Checker, People, check
 from fgplan.scenario import Scenario
 from fgplan.search import Found
 from fgplan.solver import Solution, Stop
@@ -49,6 +49,7 @@ class Solving:
     inference: Inference = QUICK
     seed: int = 0
     progress: Progress | None = None
+    checker: Checker = check
     checks: dict[Solution, Check] = field(default_factory=dict)
 
     def infer(self, label: str, optima: list[Found]) -> Inferred:
@@ -89,7 +90,7 @@ class Solving:
         """The hard check, made once."""
         if solution not in self.checks:
             robot, people = self.robot(solution), self.people(solution)
-            self.checks[solution] = check(self.scenario, robot, people)
+            self.checks[solution] = self.checker(self.scenario, robot, people)
         return self.checks[solution]
 
     def left_out(self, people: People) -> float:
@@ -158,14 +159,14 @@ def _distinct(optima: list[Found]) -> list[Found]:
 
 
 def _first_feasible(solving: Solving, optima: list[Found]) -> tuple[Found, Check]:
-    """The best optimum that passes the hard check, else the best."""
+    """The best optimum that passes the hard check, by grade, then energy; else the best."""
     checked = []
     for optimum in optima:
         result = solving.check(optimum.solution)
-        if result.feasible:
+        if result.fine:
             return optimum, result
         checked.append((optimum, result))
-    return checked[0]
+    return min(checked, key=lambda pair: (not pair[1].feasible, pair[1].grade))
 
 
 def _displacement(belief: Belief, people: People) -> dict[str, float]:

@@ -25,7 +25,7 @@ from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
 from fgplan.obeying import obeying
 from fgplan.products import crossed
-from fgplan.safety import People, brake
+from fgplan.safety import Checker, People, brake, check
 from fgplan.scenario import Scenario
 from fgplan.search import search, shifted, worth_solving
 from fgplan.shared_control import operated
@@ -57,6 +57,7 @@ def plan(
     inference: Inference = QUICK,
     seed: int = 0,
     progress: Progress | None = None,
+    check: Checker = check,
 ) -> Mixture:
     """The most probable plan under the joint density of plans, robot and people.
 
@@ -78,6 +79,7 @@ def plan(
             `fgplan.inference`. The deadline is for the solver and not for a sampler.
         seed: Of a sampler.
         progress: Told (what, done, total) by a sampler.
+        check: The hard check of a trajectory: what no energy can buy.
 
     Returns:
         All hypotheses solved, the one to follow, and its next step. The result is the best local
@@ -109,14 +111,14 @@ def plan(
     before = shifted(warm, scenario, belief) if warm is not None else ()
     end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
-    solving = [Solving(scenario, belief, assembly, i) for i in range(len(proposed))]
+    solving = [Solving(scenario, belief, assembly, i, checker=check) for i in range(len(proposed))]
     searched = search(
         assembly,
         proposed,
         solver,
         before,
         end - RESERVE * (deadline or 0.0),
-        lambda i, solution: solving[i].check(solution).feasible,
+        lambda i, solution: solving[i].check(solution).fine,
     )
     solved = perf_counter()
 

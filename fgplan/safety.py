@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,17 +40,29 @@ class Check:
         clearance: Smallest gap between the robot's edge and an obstacle [m]; inf without a map.
         first_contact: When the first contact with a person or obstacle happens [s]; inf if never.
         problems: Why the trajectory must not be driven; empty when it may.
+        grade: Of two optima of a hypothesis that may be driven the lower grade is followed, then
+            the lower energy; 0 leaves nothing to be wished.
     """
 
     min_separation: float
     clearance: float
     first_contact: float
     problems: tuple[str, ...]
+    grade: int = 0
 
     @property
     def feasible(self) -> bool:
         """Whether the trajectory may be driven."""
         return not self.problems
+
+    @property
+    def fine(self) -> bool:
+        """Whether nothing better need be looked for."""
+        return self.feasible and self.grade == 0
+
+
+Checker = Callable[[Scenario, Trajectory, "People"], Check]
+"""Checks one trajectory among people: `check`, or what asks for more."""
 
 
 def check(scenario: Scenario, robot: Trajectory, people: People) -> Check:

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading
+from fgplan.safety import People
 from fgplan.scenario import Scenario
 from fgplan.trajectory import Trajectory, hermite
 
@@ -32,7 +32,8 @@ class Tier(IntEnum):
     TOUCHING_NOBODY = 1
     """Nobody is touched over the look-ahead, and the robot can stop."""
     AVOIDING = 2
-    """The same, by another command than the plan's: the nearest one."""
+    """The same, by another command than the plan's: the nearest one, of those that keep the margin
+    if any does."""
     LATEST_CONTACT = 3
     """Nothing is clear: the command whose contact comes latest, and is the slightest."""
 
@@ -74,14 +75,6 @@ class Guarded:
     contact: float
 
 
-class Others(NamedTuple):
-    """People as they are planned (or predicted), and how far they may stray from it."""
-
-    times: Array
-    states: Array
-    radii: Array
-
-
 @dataclass(frozen=True, eq=False)
 class _Fan:
     """What M commands meet: the smallest gap to a person [m], the first contact [s], whether the
@@ -97,7 +90,7 @@ def guard(
     scenario: Scenario,
     belief: Belief,
     plan: Trajectory,
-    planned: Others,
+    planned: People,
     period: float,
     settings: Guard,
     lag: float = 0.5,
@@ -116,19 +109,14 @@ def guard(
     """
     robot, model = scenario.robot, scenario.robot.model
     now = model.state(robot, heading(scenario))
-    steps = max(1, round(period / settings.spacing))
-    dt = period / steps
-    times = np.asarray(dt * np.arange(max(steps, round(settings.ahead / dt)) + 1), dtype=float)
-    wanted = model.commands_of(plan.resampled(plan.times[0] + times[1:]))
-    wanted[:steps] = wanted[steps - 1]  # one command a period
-    predicted = Others(times, belief.predict(times)[0], belief.radii)
-    own = model.driven(robot, now, wanted[None], times, lag)
+    times, steps = _looks(period, settings)
+    own = _followed(scenario, plan, times, steps, lag)
     found = _look(scenario, belief, own, times, steps, planned, settings)
-    if found.stoppable[0] and found.keeps[0]:
-        return _guarded(scenario, own[0], times, steps, Tier.CLEAR, np.inf)
-    if found.stoppable[0] and np.isinf(found.contact[0]):
-        return _guarded(scenario, own[0], times, steps, Tier.TOUCHING_NOBODY, np.inf)
+    tier = _tier(found)
+    if tier <= Tier.TOUCHING_NOBODY:
+        return _guarded(scenario, own[0], times, steps, tier, np.inf)
 
+    predicted = People(times, belief.predict(times)[0], belief.radii)
     fan = model.commands(robot, now)
     wishes = np.repeat(fan[:, None], len(times) - 1, axis=1)
     states = model.driven(robot, now, wishes, times, lag)
@@ -136,7 +124,8 @@ def guard(
     first = np.linalg.norm(_reached(states, steps) - _reached(own, steps), axis=1)
     clear = others.stoppable & np.isinf(others.contact)
     if clear.any():
-        best = int(np.argmin(np.where(clear, first, np.inf)))
+        keeping = clear & others.keeps
+        best = int(np.argmin(np.where(keeping if keeping.any() else clear, first, np.inf)))
         return _guarded(scenario, states[best], times, steps, Tier.AVOIDING, np.inf)
     states, first = np.concatenate([own, states]), np.append(0.0, first)
     contact = np.append(found.contact, others.contact)
@@ -145,6 +134,51 @@ def guard(
     order = np.lexsort((first, -np.round(gap, 2), ~stops, -np.round(contact, 1)))
     best = int(order[0])
     return _guarded(scenario, states[best], times, steps, Tier.LATEST_CONTACT, float(contact[best]))
+
+
+def tier_of(
+    scenario: Scenario,
+    belief: Belief,
+    plan: Trajectory,
+    planned: People,
+    period: float,
+    settings: Guard,
+    lag: float = 0.5,
+) -> Tier:
+    """How safe a plan's own command is; `AVOIDING` where another one must be looked for.
+
+    Args: as of `guard`.
+    """
+    times, steps = _looks(period, settings)
+    own = _followed(scenario, plan, times, steps, lag)
+    return _tier(_look(scenario, belief, own, times, steps, planned, settings))
+
+
+def _looks(period: float, settings: Guard) -> tuple[Array, int]:
+    """The times that are looked at, and the index of the end of the period among them."""
+    steps = max(1, round(period / settings.spacing))
+    dt = period / steps
+    return dt * np.arange(max(steps, round(settings.ahead / dt)) + 1, dtype=float), steps
+
+
+def _followed(scenario: Scenario, plan: Trajectory, times: Array, steps: int, lag: float) -> Array:
+    """What the robot does when it follows a plan, with one command in the first period; states
+    (1, S, dim)."""
+    robot, model = scenario.robot, scenario.robot.model
+    # Reached evenly, a command is the velocity at the end of a step; reached at once, the mean one.
+    early = 0.5 - lag
+    start = plan.times[0]
+    wanted = model.commands_of(plan.resampled(start + times[1:] - early * times[1]))
+    first = plan.resampled(start + np.array([0.0, (1 - early) * times[steps]]))
+    wanted[:steps] = model.commands_of(first)[1]
+    now = model.state(robot, heading(scenario))
+    return model.driven(robot, now, wanted[None], times, lag)
+
+
+def _tier(found: _Fan) -> Tier:
+    if not found.stoppable[0] or np.isfinite(found.contact[0]):
+        return Tier.AVOIDING
+    return Tier.CLEAR if found.keeps[0] else Tier.TOUCHING_NOBODY
 
 
 def _reached(states: Array, step: int) -> Array:
@@ -165,7 +199,7 @@ def _look(
     states: Array,
     times: Array,
     steps: int,
-    people: Others,
+    people: People,
     settings: Guard,
 ) -> _Fan:
     """What M trajectories (M, S, dim) meet, and whether each can stop after a period."""
@@ -208,7 +242,7 @@ def _stoppable(
     return np.asarray(~np.any(hit & moving, axis=1))
 
 
-def _gaps(scenario: Scenario, path: Array, times: Array, people: Others) -> Array:
+def _gaps(scenario: Scenario, path: Array, times: Array, people: People) -> Array:
     """Between M robots (M, S, 2) and n people, shape (M, S, n) [m]."""
     if not people.states.shape[1]:
         return np.full((*path.shape[:2], 0), np.inf)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading, visible
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
-from fgplan.driving.guard import Guarded, Others, Tier, guard
+from fgplan.driving.guard import Guarded, Tier, guard, tier_of
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
@@ -26,6 +26,8 @@ from fgplan.hypothesis import Hypothesis
 from fgplan.mixture import Component, Mixture
 from fgplan.obeying import closed
 from fgplan.planner import plan
+from fgplan.safety import Check, Checker, check
+from fgplan.safety import People as Expected
 from fgplan.scenario import Robot, Scenario
 from fgplan.shared_control import Lead, pointed
 from fgplan.trajectory import Trajectory
@@ -202,12 +204,13 @@ class Planner:
                 inference=settings.inference,
                 warm=memory.mixture,
                 deadline=left,
+                check=self._checker(scenario, belief),
             )
         except NoPlan as error:
             memory = replace(memory, mixture=None)
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
         chosen = _chosen(mixture)
-        others = Others(
+        others = Expected(
             scenario.density.times,
             np.stack([person.states for person in chosen.crowd.values()], axis=1)
             if chosen.crowd
@@ -338,10 +341,26 @@ class Planner:
         )
         return decision, replace(memory, trajectory=safe.trajectory, started=scenario.now)
 
+    def _checker(self, scenario: Scenario, belief: Belief) -> Checker:
+        """The hard check, and whether the plan's own command is clear."""
+        settings, now = self.settings, closed(scenario)
+
+        def checked(_: Scenario, robot: Trajectory, people: Expected) -> Check:
+            found = check(now, robot, people)
+            tier = tier_of(
+                now, belief, robot, people, settings.period, settings.guard, settings.lag
+            )
+            if tier > Tier.TOUCHING_NOBODY:
+                problems = (*found.problems, "its command is not clear of people and walls")
+                return replace(found, problems=problems)
+            return replace(found, grade=int(tier))
+
+        return checked
+
     def _guarded(self, scenario: Scenario, belief: Belief, wanted: Trajectory) -> Guarded:
         """A trajectory among people as they are predicted."""
         times = scenario.density.times
-        predicted = Others(times, belief.predict(times)[0], belief.radii)
+        predicted = Expected(times, belief.predict(times)[0], belief.radii)
         settings = self.settings
         return guard(
             closed(scenario),

@@ -73,7 +73,7 @@ def propose(
         ways: Routes with their prices.
         followed: Name of the hypothesis that was followed until now.
         commitment: [nats].
-        wait: How long to wait where no blockage says it [s]; 0 proposes no waiting.
+        wait: How long to wait for a blockage at least [s]; 0 proposes no waiting.
         others: Hypotheses from elsewhere; their `log_prior` stands beside −β (J_i − min J).
     """
     if not ways and not others:
@@ -85,12 +85,9 @@ def propose(
         score = way.log_weight - beta * (cost.total - least)
         found.append(_pushing_on(scenario, belief, way, cost, score))
         reach = scenario.robot.preferred_speed * scenario.density.horizon
-        if wait > 0 and (way.label == followed or cost.blocked_at < reach):
-            # Where people block the way, waiting for them is in J of the route already.
-            blocked = cost.blocked_at < reach
-            pause = max(cost.blockage, wait) if blocked else wait
-            extra = 0.0 if blocked else wait
-            found.append(_waiting(scenario, way, cost, score - beta * extra, pause))
+        if wait > 0 and cost.blocked_at < reach:
+            # Waiting for those who block the way is in J of the route already.
+            found.append(_waiting(scenario, way, cost, score, max(cost.blockage, wait)))
     found += others
     scores = [
         h.log_prior - (commitment if followed is not None and route(h.label) != followed else 0.0)

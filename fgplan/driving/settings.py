@@ -23,8 +23,8 @@ class Settings:
         deadline: Time a plan may take [s]; None lets it end.
         commitment: Prior cost of leaving the hypothesis that is followed: a factor
             exp(−commitment) on every other one [nats].
-        wait: What a "wait" hypothesis waits for, where no blockage says how long [s]; 0 proposes
-            none.
+        wait: How long a "wait" hypothesis waits at least, where people block the way within the
+            horizon [s]; 0 proposes none.
         goal_tolerance: A goal is reached this near to it [m] (Nav2's xy_goal_tolerance).
         blind: Without a usable observation the last plan goes on for this long, then the robot
             stops [s].
