@@ -33,12 +33,17 @@ def shifted(trajectory: Trajectory, since: float, times: Array) -> Trajectory:
 
 
 def at_start_of(trajectory: Trajectory, robot: Robot) -> Robot:
-    """The robot where a trajectory begins."""
+    """The robot where a trajectory begins, as fast as it may be: between two states an
+    interpolated plan may be faster."""
     headings, rates = trajectory.headings, trajectory.yaw_rates
+    velocity = trajectory.velocities[0]
+    speed = float(np.linalg.norm(velocity))
+    if speed > robot.max_speed:
+        velocity = velocity * (robot.max_speed / speed)
     return replace(
         robot,
         position=trajectory.positions[0],
-        velocity=trajectory.velocities[0],
+        velocity=velocity,
         heading=robot.heading if headings is None else float(headings[0]),
         yaw_rate=robot.yaw_rate if rates is None else float(rates[0]),
     )

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from fgplan import CarLike, DifferentialDrive, Holonomic, OccupancyGrid, Robot, Scenario
 from fgplan.crowd import Belief, heading
-from fgplan.driving.guard import Guard, Others, Tier, guard
+from fgplan.driving.guard import Guard, Tier, guard
+from fgplan.safety import People
 
 PERIOD = 0.1
 MODELS = [Holonomic(), DifferentialDrive(), CarLike()]
@@ -31,7 +32,7 @@ def straight(scenario):
 
 def guarded(scenario, people, plan=None):
     times = scenario.density.times
-    others = Others(times, people.predict(times)[0], people.radii)
+    others = People(times, people.predict(times)[0], people.radii)
     plan = straight(scenario) if plan is None else plan
     return guard(scenario, people, plan, others, PERIOD, Guard())
 
