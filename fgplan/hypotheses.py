@@ -88,6 +88,7 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
             speed=robot.preferred_speed,
             acceleration=robot.max_acceleration,
             velocity=robot.velocity,
+            end_speed=scenario.goal_speed if path.stop is None else 0.0,
         )
         plan = follow(times=d.times)
         course = follow(times=times_of_data(scenario, cost)) if scenario.data else None

@@ -204,6 +204,7 @@ class Scenario:
     Args:
         robot: The robot now.
         goal: Shape (2,) [m]; None means that no goal is known.
+        goal_speed: Speed at which the goal is passed [m/s]; 0: the robot comes to rest there.
         grid: The map; None is open space without limits.
         tracks: The people seen so far.
         now: Time of the robot's state on the clock of the tracks [s].
@@ -225,6 +226,7 @@ class Scenario:
 
     robot: Robot
     goal: Array | None = None
+    goal_speed: float = 0.0
     grid: OccupancyGrid | None = None
     tracks: tuple[Track, ...] = ()
     now: float = 0.0

@@ -73,6 +73,7 @@ class _Robot(Table):
 
 class _Goal(Table):
     position: Point
+    speed: Number = 0.0
 
 
 class _Given(Table):
@@ -476,6 +477,7 @@ def _scenario(table: _File, grid: OccupancyGrid | None, model: RobotModel, stem:
     return Scenario(
         robot=Robot(**robot, model=model),
         goal=None if table.goal is None else _array(table.goal.position),
+        goal_speed=0.0 if table.goal is None else table.goal.speed,
         grid=grid,
         tracks=tuple(_track(person) for person in table.people),
         now=table.crowd.now,

@@ -114,9 +114,14 @@ def speed_law(
 
 
 def waiting_law(
-    length: float, speed: float, acceleration: float, initial_speed: float, delay: float
+    length: float,
+    speed: float,
+    acceleration: float,
+    initial_speed: float,
+    delay: float,
+    end_speed: float = 0.0,
 ) -> SpeedLaw:
-    """Brake to a stop, stand until `delay`, then go as `speed_law` does; it ends at rest.
+    """Brake to a stop, stand until `delay`, then go as `speed_law` does.
 
     A delay of 0 still brakes to a stop first; `speed_law` is the law without waiting.
 
@@ -132,7 +137,8 @@ def waiting_law(
     stop = min(initial_speed**2 / (2 * acceleration), length)
     brake = speed_law(stop, speed, acceleration, initial_speed)
     stand = SpeedLaw(0.0, ((max(delay - brake.duration, 0.0), 0.0),))
-    return brake.then(stand).then(speed_law(length - stop, speed, acceleration))
+    go = speed_law(length - stop, speed, acceleration, end_speed=end_speed)
+    return brake.then(stand).then(go)
 
 
 def travel_time(

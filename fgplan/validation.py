@@ -128,6 +128,7 @@ def find_mistakes(scenario: Scenario) -> Iterable[Mistake]:
     yield from _robot(scenario)
     if scenario.goal is not None:
         yield from _points("goal.position", scenario.goal, (2,))[1]
+    yield from _goal_speed(scenario)
     yield from _plans(scenario)
     yield from _density(scenario)
     yield from _crowd(scenario)
@@ -140,6 +141,15 @@ def find_mistakes(scenario: Scenario) -> Iterable[Mistake]:
     names = [level.name for level in scenario.levels]
     for i, measurement in enumerate(scenario.data):
         yield from find_data_mistakes(f"data[{i}]", measurement, names)
+
+
+def _goal_speed(scenario: Scenario) -> Iterable[Mistake]:
+    most = scenario.robot.preferred_speed
+    if not _NOT_NEGATIVE.allows(scenario.goal_speed):
+        yield Mistake("goal.speed", _plain(scenario.goal_speed), _NOT_NEGATIVE.mend)
+    elif _SPEED.allows(most) and scenario.goal_speed > most:
+        mend = f"is above preferred_speed, {most:g} m/s; the robot passes the goal at most so fast"
+        yield Mistake("goal.speed", scenario.goal_speed, mend)
 
 
 def placement(scenario: Scenario) -> Iterable[Mistake]:

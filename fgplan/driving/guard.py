@@ -49,6 +49,8 @@ class Guard:
         sigmas: By how many standard deviations of where they may be people grow while the robot
             brakes.
         most: But by no more than this [m].
+        turn: Another command than the plan's is tried with a change to a third one after this [s]:
+            there is often no straight way out of a crowd.
     """
 
     ahead: float = 1.5
@@ -56,6 +58,7 @@ class Guard:
     spacing: float = 0.05
     sigmas: float = 2.0
     most: float = 0.3
+    turn: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +120,7 @@ def guard(
         return _guarded(scenario, own[0], times, steps, tier, np.inf)
 
     predicted = People(times, belief.predict(times)[0], belief.radii)
-    fan = model.commands(robot, now)
-    wishes = np.repeat(fan[:, None], len(times) - 1, axis=1)
+    wishes = _wishes(model.commands(robot, now), times, settings)
     states = model.driven(robot, now, wishes, times, lag)
     others = _look(scenario, belief, states, times, steps, predicted, settings)
     first = np.linalg.norm(_reached(states, steps) - _reached(own, steps), axis=1)
@@ -152,6 +154,16 @@ def tier_of(
     times, steps = _looks(period, settings)
     own = _followed(scenario, plan, times, steps, lag)
     return _tier(_look(scenario, belief, own, times, steps, planned, settings))
+
+
+def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
+    """Commands over the look-ahead: each alone, and each with every fourth after a turn; shape
+    (M, S − 1, 2)."""
+    then = fan[::4]
+    first = np.concatenate([fan, np.repeat(fan, len(then), axis=0)])
+    second = np.concatenate([fan, np.tile(then, (len(fan), 1))])
+    early = times[:-1, None] < settings.turn - 1e-9
+    return np.where(early, first[:, None], second[:, None])
 
 
 def _looks(period: float, settings: Guard) -> tuple[Array, int]:

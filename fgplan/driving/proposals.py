@@ -115,6 +115,7 @@ def _pushing_on(
         acceleration=robot.max_acceleration,
         velocity=robot.velocity,
         times=scenario.density.times,
+        end_speed=scenario.goal_speed,
     )
     tries = starts(scenario, belief, plan, way.path)
     return Hypothesis(way.label, score, plan, cost.total, tries, way.path)
@@ -129,6 +130,7 @@ def _waiting(scenario: Scenario, way: Way, cost: Price, score: float, pause: flo
         robot.max_acceleration,
         speed_along(way.path, robot.velocity),
         pause,
+        scenario.goal_speed,
     )
     plan = along(way.path, scenario.density.times, law)
     label = way.label + WAITING

@@ -87,6 +87,7 @@ class CrowdNav:
                 max_speed=SPEED,
             ),
             goal=-start,
+            goal_speed=SPEED,
             crowd="predicted",
             density=self.density,
             name=f"{self.name}, seed {seed}",

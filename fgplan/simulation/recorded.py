@@ -134,6 +134,7 @@ class Recorded:
         case = self.cases[seed]
         recording = _recording(self.folder, case.recording)
         scenario = recording.scenario(case).replace(crowd="predicted")
+        scenario = scenario.replace(goal_speed=scenario.robot.preferred_speed)
         limit = TIME_FACTOR * case.duration + TIME_EXTRA
         people = Replay(recording, case, limit)
         return World(
@@ -148,7 +149,6 @@ class Recorded:
                 time_limit=limit,
                 tolerance=TOLERANCE,
                 seen_by_people=False,
-                stops_at_goal=False,
             ),
         )
 

@@ -33,7 +33,6 @@ class Rules:
         contact_ends: Whether a contact with a person ends the run.
         discomfort: A person whose edge is nearer than this feels uneasy [m].
         seen_by_people: Whether people see the robot.
-        stops_at_goal: Whether the robot should come to rest there, or would walk on.
         gap: What counts as the distance of robot and people during a substep.
     """
 
@@ -44,7 +43,6 @@ class Rules:
     contact_ends: bool = False
     discomfort: float = 0.2
     seen_by_people: bool = True
-    stops_at_goal: bool = True
     gap: Gap = moved
 
 

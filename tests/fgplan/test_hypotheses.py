@@ -121,3 +121,13 @@ def test_an_unreachable_goal_is_no_hypothesis():
     scenario = forked(grid=blocks(), goal=np.array([4.0, 0.0]), count=1, plans=())
     with pytest.raises(NoRoute):
         hypothesise(scenario, believed(scenario))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.4, 1.0])
+def test_a_goal_is_passed_at_its_speed(speed):
+    robot = Robot(np.zeros(2), np.array([1.0, 0.0]))
+    scenario = Scenario(robot, np.array([2.0, 0.0]), goal_speed=speed, density=Density(horizon=6.0))
+    (only,) = hypothesise(scenario, believed(scenario))
+    end = only.plan.at(6.0)
+    assert end[2:] == pytest.approx([speed, 0.0])
+    assert end[0] == pytest.approx(2.0) if speed == 0 else end[0] > 2.0 + 2 * speed

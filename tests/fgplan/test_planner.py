@@ -29,6 +29,8 @@ from fgplan import (
 from fgplan.crowd import Belief, believe
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
+from fgplan.safety import Check, People, check
+from fgplan.trajectory import Trajectory
 from tests.scenes import CORRIDOR, blocks, fork, forked, random_scene, track
 
 STRAIGHT = GivenPlan("straight", np.array([[0.0, 0.0], [8.0, 0.0]]))
@@ -432,6 +434,25 @@ def test_an_uncertain_robot_is_drawn_to_its_plan():
     loose = plan(scenario.replace(robot=robot)).components[0].robot.states[0]
     np.testing.assert_array_equal(exact, [0, 0, 0.8, 0])
     assert np.abs(loose - exact).max() > 0.02
+
+
+def test_of_a_hypothesis_optima_the_one_with_the_better_grade_is_followed():
+    """A person straight ahead is passed on either side; a check that grades one side down is
+    obeyed, though the optimum on the other has the higher energy."""
+    scenario = Scenario(Robot(np.zeros(2), np.array([1.0, 0.0])), np.array([6.0, 0.0]))
+    scenario = scenario.replace(tracks=(track("p", 3.0, 0.03),), crowd="predicted", count=1)
+    free = plan(scenario).components[0]
+
+    def other_side(scenario: Scenario, robot: Trajectory, people: People) -> Check:
+        found = check(scenario, robot, people)
+        lies = float(np.sign(robot.at(3.0)[1]))
+        return replace(found, grade=int(lies == np.sign(free.robot.at(3.0)[1])))
+
+    graded = plan(scenario, check=other_side).components[0]
+    assert free.check.grade == graded.check.grade == 0
+    assert graded.feasible
+    assert free.robot.at(3.0)[1] * graded.robot.at(3.0)[1] < 0
+    assert graded.energy >= free.energy
 
 
 def test_a_belief_of_the_callers_replaces_the_tracks():

@@ -50,6 +50,13 @@ def mistakes(folder: Path, text: str) -> tuple[Mistake, ...]:
     return caught.value.mistakes
 
 
+def test_a_goal_may_be_passed_at_a_speed(tmp_path: Path) -> None:
+    assert load(tmp_path, GOOD).goal_speed == 0.0
+    assert load(tmp_path, GOOD.replace("[8, 1]", "[8, 1]\nspeed = 0.8")).goal_speed == 0.8
+    (only,) = mistakes(tmp_path, GOOD.replace("[8, 1]", "[8, 1]\nspeed = 9"))
+    assert only.path == "goal.speed"
+
+
 def test_minimal_file_has_the_defaults_of_the_dataclasses(tmp_path: Path) -> None:
     s = load(tmp_path, MINIMAL)
     assert s.name == "case"

@@ -30,11 +30,11 @@ def straight(scenario):
     return robot.model.coast(now, scenario.density.times)
 
 
-def guarded(scenario, people, plan=None):
+def guarded(scenario, people, plan=None, settings=Guard()):  # noqa: B008 - frozen
     times = scenario.density.times
     others = People(times, people.predict(times)[0], people.radii)
     plan = straight(scenario) if plan is None else plan
-    return guard(scenario, people, plan, others, PERIOD, Guard())
+    return guard(scenario, people, plan, others, PERIOD, settings)
 
 
 def moving(speed=1.0, **changes):
@@ -58,6 +58,21 @@ def test_a_wall_in_the_way_is_not_run_into():
     wall = [(1.0, -3.0), (1.2, -3.0), (1.2, 3.0), (1.0, 3.0)]
     grid = OccupancyGrid.from_polygons([wall], (-2, -3, 3, 3), 0.05)
     found = guarded(moving(grid=grid), belief())
+    assert found.tier is Tier.AVOIDING
+    assert grid.clearance(found.trajectory.positions, 0.25).min() >= -1e-6
+
+
+def test_where_no_straight_way_is_clear_a_turn_is():
+    """A corridor with a bend, and somebody who comes up fast from behind."""
+    walls = [
+        [(-3.0, 0.4), (0.3, 0.4), (0.3, 3.0), (-3.0, 3.0)],
+        [(-3.0, -0.6), (3.0, -0.6), (3.0, -0.4), (-3.0, -0.4)],
+        [(1.1, -0.4), (3.0, -0.4), (3.0, 3.0), (1.1, 3.0)],
+    ]
+    grid = OccupancyGrid.from_polygons(walls, (-3, -1, 3, 4), 0.05)
+    scenario, person = moving(grid=grid), belief([-0.9, 0.0, 0.8, 0.0])
+    assert guarded(scenario, person, settings=Guard(turn=np.inf)).tier is Tier.LATEST_CONTACT
+    found = guarded(scenario, person)
     assert found.tier is Tier.AVOIDING
     assert grid.clearance(found.trajectory.positions, 0.25).min() >= -1e-6
 
