@@ -51,6 +51,7 @@ class Solving:
     progress: Progress | None = None
     checker: Checker = check
     checks: dict[Solution, Check] = field(default_factory=dict)
+    robots: dict[Solution, Trajectory] = field(default_factory=dict)
 
     def infer(self, label: str, optima: list[Found]) -> Inferred:
         """Trajectories and evidence; each hypothesis has its own stream of random numbers."""
@@ -68,9 +69,12 @@ class Solving:
         return self.assembly.models[self.which]
 
     def robot(self, solution: Solution) -> Trajectory:
-        """f^R in the plane."""
-        states = solution.state[:, self.model.columns["robot"]]
-        return self.scenario.robot.model.trajectory(self.model.times, states)
+        """f^R in the plane, made once."""
+        if solution not in self.robots:
+            states = solution.state[:, self.model.columns["robot"]]
+            model = self.scenario.robot.model
+            self.robots[solution] = model.trajectory(self.model.times, states)
+        return self.robots[solution]
 
     def level(self, solution: Solution, name: str) -> Trajectory:
         """A level that is a variable."""

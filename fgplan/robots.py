@@ -239,10 +239,10 @@ class Holonomic:
         states = np.empty((len(wishes), len(times), 4))
         states[:, 0] = now
         for k, dt in enumerate(np.diff(times).tolist()):
-            p, v = states[:, k, :2], states[:, k, 2:]
-            wish = shortened(wishes[:, k], np.maximum(robot.max_speed, np.linalg.norm(v, axis=1)))
-            change = shortened(wish - v, np.full(len(v), robot.max_acceleration * dt))
-            states[:, k + 1, :2] = p + dt * (v + (1 - lag) * change)
+            v = states[:, k, 2:]
+            wish = shortened(wishes[:, k], np.maximum(robot.max_speed, _length(v)))
+            change = shortened(wish - v, robot.max_acceleration * dt)
+            states[:, k + 1, :2] = states[:, k, :2] + dt * (v + (1 - lag) * change)
             states[:, k + 1, 2:] = v + change
         return states
 
@@ -285,7 +285,14 @@ class Holonomic:
         return Twist(c * vx + s * vy, c * vy - s * vx, 0.0)
 
 
-def shortened(vectors: Array, longest: Array) -> Array:
-    """Vectors (M, 2), none longer than (M,)."""
-    length = np.linalg.norm(vectors, axis=-1)
-    return np.asarray(vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300))[..., None])
+def shortened(vectors: Array, longest: Array | float) -> Array:
+    """Vectors (M, 2), none longer than a length, or than (M,)."""
+    length = _length(vectors)
+    if (length <= longest).all():
+        return vectors
+    return np.asarray(vectors * (np.minimum(length, longest) / np.maximum(length, 1e-300))[:, None])
+
+
+def _length(vectors: Array) -> Array:
+    """Of vectors (M, 2), shape (M,)."""
+    return np.asarray(np.sqrt(np.einsum("mi,mi->m", vectors, vectors)))

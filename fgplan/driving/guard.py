@@ -9,14 +9,15 @@ be by then.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading
-from fgplan.safety import People
+from fgplan.safety import Check, People, check
 from fgplan.scenario import Scenario
 from fgplan.trajectory import Trajectory, hermite
 
@@ -54,7 +55,7 @@ class Guard:
     """
 
     ahead: float = 1.5
-    margin: float = 0.1
+    margin: float = 0.15
     spacing: float = 0.05
     sigmas: float = 2.0
     most: float = 0.3
@@ -89,71 +90,163 @@ class _Fan:
     keeps: Mask
 
 
-def guard(
-    scenario: Scenario,
-    belief: Belief,
-    plan: Trajectory,
-    planned: People,
-    period: float,
-    settings: Guard,
-    lag: float = 0.5,
-) -> Guarded:
-    """The plan's command, if it is safe, else the safest one.
+@dataclass(frozen=True, eq=False)
+class _Own:
+    """What the robot does when it follows a plan, states (1, S, dim), what it meets, and how safe
+    that is."""
+
+    states: Array
+    found: _Fan
+    tier: Tier
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Judges the plans of one moment by what will be executed of them.
 
     Args:
         scenario: Map, robot and limits.
         belief: The people now.
-        plan: What is wanted.
-        planned: Where people are in that plan.
         period: Until the next command [s].
         settings: See `Guard`.
         lag: Share of a period's change of velocity that the position lags behind: ½ when it is
             reached evenly, 0 when at once.
     """
-    robot, model = scenario.robot, scenario.robot.model
-    now = model.state(robot, heading(scenario))
-    times, steps = _looks(period, settings)
-    own = _followed(scenario, plan, times, steps, lag)
-    found = _look(scenario, belief, own, times, steps, planned, settings)
-    tier = _tier(found)
-    if tier <= Tier.TOUCHING_NOBODY:
-        return _guarded(scenario, own[0], times, steps, tier, np.inf)
 
-    predicted = People(times, belief.predict(times)[0], belief.radii)
-    wishes = _wishes(model.commands(robot, now), times, settings)
-    states = model.driven(robot, now, wishes, times, lag)
-    others = _look(scenario, belief, states, times, steps, predicted, settings)
-    first = np.linalg.norm(_reached(states, steps) - _reached(own, steps), axis=1)
-    clear = others.stoppable & np.isinf(others.contact)
-    if clear.any():
-        keeping = clear & others.keeps
-        best = int(np.argmin(np.where(keeping if keeping.any() else clear, first, np.inf)))
-        return _guarded(scenario, states[best], times, steps, Tier.AVOIDING, np.inf)
-    states, first = np.concatenate([own, states]), np.append(0.0, first)
-    contact = np.append(found.contact, others.contact)
-    gap, stops = np.append(found.gap, others.gap), np.append(found.stoppable, others.stoppable)
-    # Contact latest; of those, who can stop, then who keeps the larger gap, then the plan's.
-    order = np.lexsort((first, -np.round(gap, 2), ~stops, -np.round(contact, 1)))
-    best = int(order[0])
-    return _guarded(scenario, states[best], times, steps, Tier.LATEST_CONTACT, float(contact[best]))
+    scenario: Scenario
+    belief: Belief
+    period: float
+    settings: Guard = Guard()
+    lag: float = 0.5
+    _judged: dict[Trajectory, _Own] = field(default_factory=dict, repr=False)
 
+    def check(self, scenario: Scenario, robot: Trajectory, people: People) -> Check:
+        """The hard check of a plan, and whether its own command is clear: a `Checker`."""
+        found = check(self.scenario, robot, people)
+        tier = self._own(robot, people).tier
+        if tier > Tier.TOUCHING_NOBODY:
+            problems = (*found.problems, "its command is not clear of people and walls")
+            return replace(found, problems=problems)
+        return replace(found, grade=int(tier))
 
-def tier_of(
-    scenario: Scenario,
-    belief: Belief,
-    plan: Trajectory,
-    planned: People,
-    period: float,
-    settings: Guard,
-    lag: float = 0.5,
-) -> Tier:
-    """How safe a plan's own command is; `AVOIDING` where another one must be looked for.
+    def command(self, plan: Trajectory, planned: People) -> Guarded:
+        """The plan's command, if it is safe, else the safest one.
 
-    Args: as of `guard`.
-    """
-    times, steps = _looks(period, settings)
-    own = _followed(scenario, plan, times, steps, lag)
-    return _tier(_look(scenario, belief, own, times, steps, planned, settings))
+        Args:
+            plan: What is wanted.
+            planned: Where people are in that plan.
+        """
+        own = self._own(plan, planned)
+        return (
+            self._guarded(own.states[0], own.tier)
+            if own.tier < Tier.AVOIDING
+            else self._escape(own)
+        )
+
+    def _escape(self, own: _Own) -> Guarded:
+        """Another command than the plan's: the nearest clear one, else the least bad one."""
+        times, steps = self._looks
+        robot, model = self.scenario.robot, self.scenario.robot.model
+        predicted = People(times, self.belief.predict(times)[0], self.belief.radii)
+        wishes = _wishes(model.commands(robot, self._now), times, self.settings)
+        states = model.driven(robot, self._now, wishes, times, self.lag)
+        others = self._look(states, predicted)
+        # The commands that are reached at the end of the period: the end of a state.
+        first = np.linalg.norm(states[:, steps, -2:] - own.states[:, steps, -2:], axis=1)
+        clear = others.stoppable & np.isinf(others.contact)
+        if clear.any():
+            keeping = clear & others.keeps
+            best = int(np.argmin(np.where(keeping if keeping.any() else clear, first, np.inf)))
+            return self._guarded(states[best], Tier.AVOIDING)
+        found = own.found
+        states, first = np.concatenate([own.states, states]), np.append(0.0, first)
+        contact = np.append(found.contact, others.contact)
+        gap, stops = np.append(found.gap, others.gap), np.append(found.stoppable, others.stoppable)
+        # Contact latest; of those, who can stop, then who keeps the larger gap, then the plan's.
+        order = np.lexsort((first, -np.round(gap, 2), ~stops, -np.round(contact, 1)))
+        best = int(order[0])
+        return self._guarded(states[best], Tier.LATEST_CONTACT, float(contact[best]))
+
+    @cached_property
+    def _now(self) -> Array:
+        return self.scenario.robot.model.state(self.scenario.robot, heading(self.scenario))
+
+    @cached_property
+    def _looks(self) -> tuple[Array, int]:
+        """The times that are looked at, and the index of the end of the period among them."""
+        steps = max(1, round(self.period / self.settings.spacing))
+        dt = self.period / steps
+        last = max(steps, round(self.settings.ahead / dt))
+        return dt * np.arange(last + 1, dtype=float), steps
+
+    def _own(self, plan: Trajectory, planned: People) -> _Own:
+        """Judged once: what is checked is what will be commanded."""
+        if plan not in self._judged:
+            states = self._followed(plan)
+            found = self._look(states, planned)
+            tier = Tier.CLEAR if found.keeps[0] else Tier.TOUCHING_NOBODY
+            if not found.stoppable[0] or np.isfinite(found.contact[0]):
+                tier = Tier.AVOIDING
+            self._judged[plan] = _Own(states, found, tier)
+        return self._judged[plan]
+
+    def _followed(self, plan: Trajectory) -> Array:
+        """What the robot does when it follows a plan, with one command in the first period; states
+        (1, S, dim)."""
+        robot, (times, steps) = self.scenario.robot, self._looks
+        # Reached evenly, a command is the velocity at the end of a step; at once, the mean one.
+        early = 0.5 - self.lag
+        start = plan.times[0]
+        wanted = robot.model.commands_of(plan.resampled(start + times[1:] - early * times[1]))
+        first = plan.resampled(start + np.array([0.0, (1 - early) * times[steps]]))
+        wanted[:steps] = robot.model.commands_of(first)[1]
+        return robot.model.driven(robot, self._now, wanted[None], times, self.lag)
+
+    def _guarded(self, states: Array, tier: Tier, contact: float = np.inf) -> Guarded:
+        times, steps = self._looks
+        trajectory = self.scenario.robot.model.trajectory(times, states)
+        return Guarded(trajectory, steps, tier, contact)
+
+    def _look(self, states: Array, people: People) -> _Fan:
+        """What M trajectories (M, S, dim) meet, and whether each can stop after a period."""
+        times, _ = self._looks
+        gaps = _gaps(self.scenario, states[..., :2], times, people)
+        wall = _walls(self.scenario, states[..., :2])
+        allowed = np.minimum(gaps[:, :1], 0.0) - 1e-6
+        touching = np.any(gaps < allowed, axis=-1) if gaps.shape[-1] else np.zeros(wall.shape, bool)
+        touching |= wall < np.minimum(wall[:, :1], 0.0) - 1e-6
+        contact = np.where(touching.any(axis=1), times[np.argmax(touching, axis=1)], np.inf)
+        nearest = gaps.min(axis=(1, 2), initial=np.inf)
+        most = self.settings.margin
+        margin = np.minimum(most, gaps[:, :1]) if gaps.shape[-1] else gaps[:, :1]
+        keeps = np.isinf(contact) & np.all(gaps >= margin - 1e-6, axis=(1, 2))
+        return _Fan(nearest, contact, self._stoppable(states), keeps)
+
+    def _stoppable(self, states: Array) -> Mask:
+        """Whether M robots, after one period, come to rest before they touch anybody, shape (M,).
+
+        Who stands is not at fault: contact counts while the robot moves.
+        """
+        robot, settings, (times, steps) = self.scenario.robot, self.settings, self._looks
+        # A state ends with the velocity, or with (v, ω): its length is the speed or more.
+        speed = float(np.linalg.norm(states[:, steps, -2:], axis=-1).max())
+        braking = speed / robot.max_acceleration
+        braked = times[: min(len(times), 2 + int(np.ceil(braking / times[1])))]
+        still = np.zeros((len(states), len(braked) - 1, 2))
+        stop = robot.model.driven(robot, states[:, steps], still, braked, 0.5)
+        path = np.concatenate([states[:, : steps + 1, :2], stop[:, 1:, :2]], axis=1)
+        when = np.append(times[: steps + 1], times[steps] + braked[1:])
+        moved = np.linalg.norm(np.diff(path, axis=1), axis=-1) > 1e-4
+        moving = np.concatenate([moved[:, :1], moved], axis=1)
+        mean, covariance = self.belief.predict(when)
+        variance = np.maximum(covariance[..., 0, 0] - covariance[0, :, 0, 0], 0.0)
+        grown = self.belief.radii + np.minimum(settings.sigmas * np.sqrt(variance), settings.most)
+        apart = np.linalg.norm(path[:, :, None] - mean[None, :, :, :2], axis=-1)
+        reach = apart - (robot.radius + grown)
+        hit = np.any(reach < np.minimum(reach[:, :1], 0.0) - 1e-6, axis=-1)
+        wall = _walls(self.scenario, path)
+        hit |= wall < np.minimum(wall[:, :1], 0.0) - 1e-6
+        return np.asarray(~np.any(hit & moving, axis=1))
 
 
 def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
@@ -164,94 +257,6 @@ def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
     second = np.concatenate([fan, np.tile(then, (len(fan), 1))])
     early = times[:-1, None] < settings.turn - 1e-9
     return np.where(early, first[:, None], second[:, None])
-
-
-def _looks(period: float, settings: Guard) -> tuple[Array, int]:
-    """The times that are looked at, and the index of the end of the period among them."""
-    steps = max(1, round(period / settings.spacing))
-    dt = period / steps
-    return dt * np.arange(max(steps, round(settings.ahead / dt)) + 1, dtype=float), steps
-
-
-def _followed(scenario: Scenario, plan: Trajectory, times: Array, steps: int, lag: float) -> Array:
-    """What the robot does when it follows a plan, with one command in the first period; states
-    (1, S, dim)."""
-    robot, model = scenario.robot, scenario.robot.model
-    # Reached evenly, a command is the velocity at the end of a step; reached at once, the mean one.
-    early = 0.5 - lag
-    start = plan.times[0]
-    wanted = model.commands_of(plan.resampled(start + times[1:] - early * times[1]))
-    first = plan.resampled(start + np.array([0.0, (1 - early) * times[steps]]))
-    wanted[:steps] = model.commands_of(first)[1]
-    now = model.state(robot, heading(scenario))
-    return model.driven(robot, now, wanted[None], times, lag)
-
-
-def _tier(found: _Fan) -> Tier:
-    if not found.stoppable[0] or np.isfinite(found.contact[0]):
-        return Tier.AVOIDING
-    return Tier.CLEAR if found.keeps[0] else Tier.TOUCHING_NOBODY
-
-
-def _reached(states: Array, step: int) -> Array:
-    """The commands (M, 2) that are reached at the end of the period: the end of a state."""
-    return states[:, step, -2:]
-
-
-def _guarded(
-    scenario: Scenario, states: Array, times: Array, step: int, tier: Tier, contact: float
-) -> Guarded:
-    trajectory = scenario.robot.model.trajectory(times, states)
-    return Guarded(trajectory, step, tier, contact)
-
-
-def _look(
-    scenario: Scenario,
-    belief: Belief,
-    states: Array,
-    times: Array,
-    steps: int,
-    people: People,
-    settings: Guard,
-) -> _Fan:
-    """What M trajectories (M, S, dim) meet, and whether each can stop after a period."""
-    gaps = _gaps(scenario, states[..., :2], times, people)
-    wall = _walls(scenario, states[..., :2])
-    allowed = np.minimum(gaps[:, :1], 0.0) - 1e-6
-    touching = np.any(gaps < allowed, axis=-1) if gaps.shape[-1] else np.zeros(wall.shape, bool)
-    touching |= wall < np.minimum(wall[:, :1], 0.0) - 1e-6
-    contact = np.where(touching.any(axis=1), times[np.argmax(touching, axis=1)], np.inf)
-    nearest = gaps.min(axis=(1, 2), initial=np.inf)
-    margin = np.minimum(settings.margin, gaps[:, :1]) if gaps.shape[-1] else gaps[:, :1]
-    keeps = np.isinf(contact) & np.all(gaps >= margin - 1e-6, axis=(1, 2))
-
-    stoppable = _stoppable(scenario, belief, states, times, steps, settings)
-    return _Fan(nearest, contact, stoppable, keeps)
-
-
-def _stoppable(
-    scenario: Scenario, belief: Belief, states: Array, times: Array, steps: int, settings: Guard
-) -> Mask:
-    """Whether M robots, after one period, come to rest before they touch anybody, shape (M,).
-
-    Who stands is not at fault: contact counts while the robot moves.
-    """
-    robot = scenario.robot
-    still = np.zeros((len(states), len(times) - 1, 2))
-    stop = robot.model.driven(robot, states[:, steps], still, times, 0.5)
-    path = np.concatenate([states[:, : steps + 1, :2], stop[:, 1:, :2]], axis=1)
-    when = np.append(times[: steps + 1], times[steps] + times[1:])
-    moved = np.linalg.norm(np.diff(path, axis=1), axis=-1) > 1e-4
-    moving = np.concatenate([moved[:, :1], moved], axis=1)
-    mean, covariance = belief.predict(when)
-    variance = np.maximum(covariance[..., 0, 0] - covariance[0, :, 0, 0], 0.0)
-    grown = belief.radii + np.minimum(settings.sigmas * np.sqrt(variance), settings.most)
-    apart = np.linalg.norm(path[:, :, None] - mean[None, :, :, :2], axis=-1)
-    reach = apart - (robot.radius + grown)
-    hit = np.any(reach < np.minimum(reach[:, :1], 0.0) - 1e-6, axis=-1)
-    wall = _walls(scenario, path)
-    hit |= wall < np.minimum(wall[:, :1], 0.0) - 1e-6
-    return np.asarray(~np.any(hit & moving, axis=1))
 
 
 def _gaps(scenario: Scenario, path: Array, times: Array, people: People) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading, visible
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
-from fgplan.driving.guard import Guarded, Tier, guard, tier_of
+from fgplan.driving.guard import Guarded, Judge, Tier
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
@@ -26,7 +26,6 @@ from fgplan.hypothesis import Hypothesis
 from fgplan.mixture import Component, Mixture
 from fgplan.obeying import closed
 from fgplan.planner import plan
-from fgplan.safety import Check, Checker, check
 from fgplan.safety import People as Expected
 from fgplan.scenario import Robot, Scenario
 from fgplan.shared_control import Lead, pointed
@@ -191,6 +190,7 @@ class Planner:
             proposed.extend(found)
             return tuple(operated.recall(h, scenario.now, memory.followed) for h in found)
 
+        judge = self._judge(scenario, belief)
         left = None
         if settings.deadline is not None:
             left = max(settings.deadline - (perf_counter() - began), 0.2 * settings.deadline)
@@ -204,7 +204,7 @@ class Planner:
                 inference=settings.inference,
                 warm=memory.mixture,
                 deadline=left,
-                check=self._checker(scenario, belief),
+                check=judge.check,
             )
         except NoPlan as error:
             memory = replace(memory, mixture=None)
@@ -217,15 +217,7 @@ class Planner:
             else np.zeros((len(scenario.density.times), 0, 4)),
             belief.radii,
         )
-        safe = guard(
-            closed(scenario),
-            belief,
-            chosen.robot,
-            others,
-            settings.period,
-            settings.guard,
-            settings.lag,
-        )
+        safe = judge.command(chosen.robot, others)
         label = _route_of(chosen.label, memory.followed)
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
         outcome, reason = self._outcome(memory, before, chosen, safe, label)
@@ -341,36 +333,15 @@ class Planner:
         )
         return decision, replace(memory, trajectory=safe.trajectory, started=scenario.now)
 
-    def _checker(self, scenario: Scenario, belief: Belief) -> Checker:
-        """The hard check, and whether the plan's own command is clear."""
-        settings, now = self.settings, closed(scenario)
-
-        def checked(_: Scenario, robot: Trajectory, people: Expected) -> Check:
-            found = check(now, robot, people)
-            tier = tier_of(
-                now, belief, robot, people, settings.period, settings.guard, settings.lag
-            )
-            if tier > Tier.TOUCHING_NOBODY:
-                problems = (*found.problems, "its command is not clear of people and walls")
-                return replace(found, problems=problems)
-            return replace(found, grade=int(tier))
-
-        return checked
+    def _judge(self, scenario: Scenario, belief: Belief) -> Judge:
+        settings = self.settings
+        return Judge(closed(scenario), belief, settings.period, settings.guard, settings.lag)
 
     def _guarded(self, scenario: Scenario, belief: Belief, wanted: Trajectory) -> Guarded:
         """A trajectory among people as they are predicted."""
         times = scenario.density.times
         predicted = Expected(times, belief.predict(times)[0], belief.radii)
-        settings = self.settings
-        return guard(
-            closed(scenario),
-            belief,
-            wanted,
-            predicted,
-            settings.period,
-            settings.guard,
-            settings.lag,
-        )
+        return self._judge(scenario, belief).command(wanted, predicted)
 
 
 def _now(scenario: Scenario, observation: Observation) -> Scenario:

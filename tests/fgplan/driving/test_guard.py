@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fgplan import CarLike, DifferentialDrive, Holonomic, OccupancyGrid, Robot, Scenario
 from fgplan.crowd import Belief, heading
-from fgplan.driving.guard import Guard, Tier, guard
+from fgplan.driving.guard import Guard, Judge, Tier
 from fgplan.safety import People
 
 PERIOD = 0.1
@@ -34,7 +34,7 @@ def guarded(scenario, people, plan=None, settings=Guard()):  # noqa: B008 - froz
     times = scenario.density.times
     others = People(times, people.predict(times)[0], people.radii)
     plan = straight(scenario) if plan is None else plan
-    return guard(scenario, people, plan, others, PERIOD, settings)
+    return Judge(scenario, people, PERIOD, settings).command(plan, others)
 
 
 def moving(speed=1.0, **changes):
