@@ -79,6 +79,8 @@ class Model:
         read: From times and the robot's states to its trajectory, as it is driven.
         kinematic: From a count to draws of the robot's states from its own prior within its
             limits, shape (count, T + 1, dim); None where the robot has no model.
+        within: Which of many trajectories of the robot's states (N, T + 1, dim) it can drive, shape
+            (N,): what is sampled keeps its limits. None where the density has none.
         gate: Who is planned and who is held.
         people: Names of those in the crowd variable, in its order.
         extra: The user's own GTSAM factors.
@@ -93,6 +95,7 @@ class Model:
     lift: Callable[[Trajectory], Array] = attrgetter("states")
     read: Callable[[Array, Array], Trajectory] = Trajectory.from_states
     kinematic: Callable[[int, np.random.Generator], Array] | None = None
+    within: Callable[[Array], NDArray[np.bool_]] | None = None
     gate: Gate | None = None
     people: tuple[str, ...] = ()
     extra: tuple[gtsam.NonlinearFactor, ...] = ()
@@ -211,6 +214,8 @@ def build(
     now = vehicle.state(scenario.robot, heading(scenario))
     lift = partial(vehicle.lift, scenario.robot, now)
     kinematic = partial(_kinematic, scenario, now)
+    limited = np.isfinite(scenario.density.limit_sigma)
+    within = partial(vehicle.within, scenario.robot, scenario.density.times) if limited else None
     robot = Variable("robot", vehicle.dim, keys.robot)
     crowd = (Variable("crowd", 4 * planned.count, keys.crowd),) if planned.count else ()
     shared = tuple(_shared_terms(scenario, planned, held, gate_))
@@ -238,7 +243,7 @@ def build(
         reference, names = np.hstack(parts), planned.names
         read, times = vehicle.trajectory, scenario.density.times
         given = (times, variables, shared, own, fixed, reference, lift, read, kinematic)
-        models.append(Model(*given, gate_, names, extra))
+        models.append(Model(*given, within, gate_, names, extra))
     return tuple(models)
 
 

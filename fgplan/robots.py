@@ -7,7 +7,7 @@ the position; `docs/robots.md` has the equations.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
@@ -47,6 +47,32 @@ class Piece(NamedTuple):
         """All k, where the trajectory has T + 1 states."""
         end = T - max(self.offsets)
         return range(self.first, 1 + (end if self.last is None else min(end, self.last)))
+
+
+class Bound(NamedTuple):
+    """What must not exceed its limit at any step: `value` (..., n), `limit` of that shape or one
+    that broadcasts, both in `unit`."""
+
+    what: str
+    value: Array
+    limit: Array | float
+    unit: str
+    tolerance: float
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """Which trajectories keep it, shape (...)."""
+        return np.asarray(np.all(self.value <= self.limit + self.tolerance, axis=-1))
+
+    def problem(self, digits: int) -> str:
+        """What one trajectory, n values, does wrong in words; empty where it keeps the limit."""
+        limit = np.broadcast_to(self.limit, self.value.shape)
+        excess = np.where(np.isfinite(limit), self.value - limit, -np.inf)
+        if not excess.size or excess.max() <= self.tolerance:
+            return ""
+        worst = int(np.argmax(excess))
+        reached, allowed = (f"{v[worst]:.{digits}f} {self.unit}" for v in (self.value, limit))
+        return f"{self.what} {reached} above {allowed}"
 
 
 @dataclass(frozen=True)
@@ -106,6 +132,11 @@ class RobotModel(Protocol):
 
     def problems(self, robot: Robot, trajectory: Trajectory) -> list[str]:
         """Which limits a trajectory of this model breaks, in words."""
+        ...
+
+    def within(self, robot: Robot, times: Array, states: Array) -> NDArray[np.bool_]:
+        """Which of many trajectories (..., S, dim), as they are driven, break no limit: those
+        without `problems`. Shape (...)."""
         ...
 
     def coast(self, now: Array, times: Array) -> Trajectory:
@@ -192,21 +223,20 @@ class Holonomic:
         return Trajectory.from_states(times, states)
 
     def problems(self, robot: Robot, trajectory: Trajectory) -> list[str]:
-        problems = []
-        speed = np.linalg.norm(trajectory.velocities, axis=1)
-        # A robot that is too fast now may slow down; it must not get faster again.
-        limit = np.maximum(robot.max_speed, np.minimum.accumulate(speed))
-        worst = int(np.argmax(speed - limit))
-        if speed[worst] > limit[worst] + TOLERANCE:
-            problems.append(f"speed {speed[worst]:.2f} m/s above {limit[worst]:.2f} m/s")
-        if len(trajectory.times) > 1:
-            change = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
-            acceleration = np.linalg.norm(change, axis=1).max()
-            if acceleration > robot.max_acceleration + TOLERANCE:
-                problems.append(
-                    f"acceleration {acceleration:.2f} m/s² above {robot.max_acceleration:.2f} m/s²"
-                )
-        return problems
+        bounds = self._bounds(robot, trajectory.times, trajectory.states)
+        return [problem for bound in bounds if (problem := bound.problem(2))]
+
+    def within(self, robot: Robot, times: Array, states: Array) -> NDArray[np.bool_]:
+        return np.logical_and.reduce([b.kept for b in self._bounds(robot, times, states)])
+
+    def _bounds(self, robot: Robot, times: Array, states: Array) -> Iterator[Bound]:
+        """Of states (..., S, 4). Who is too fast now may slow down, and must not get faster."""
+        v = states[..., 2:]
+        speed = np.linalg.norm(v, axis=-1)
+        limit = np.maximum(robot.max_speed, np.minimum.accumulate(speed, axis=-1))
+        yield Bound("speed", speed, limit, "m/s", TOLERANCE)
+        change = np.linalg.norm(np.diff(v, axis=-2), axis=-1) / np.diff(times)
+        yield Bound("acceleration", change, robot.max_acceleration, "m/s²", TOLERANCE)
 
     def coast(self, now: Array, times: Array) -> Trajectory:
         along = np.outer(times - times[0], now[2:])

@@ -8,7 +8,7 @@ between them, unless the speed changes its sign; that a car may do only with str
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from factors.kinematics import CurvatureLimit, LinearLimit
 from factors.residual import Residual
 from factors.unicycle import InPlane, UnicycleMotion, advance, planar, slip, unicycle_prior
-from fgplan.robots import LIMIT_SHARE, PACES, Piece, Twist
+from fgplan.robots import LIMIT_SHARE, PACES, Bound, Piece, Twist
 from fgplan.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -186,36 +186,47 @@ class _Wheeled(ABC):
 
     def problems(self, robot: Robot, trajectory: Trajectory) -> list[str]:
         x = self.states(trajectory)
-        v, w, dt = x[:, 3], x[:, 4], np.diff(trajectory.times)
-        found = [
-            _above("speed", v, np.maximum(robot.max_speed, np.minimum.accumulate(v)), "m/s"),
-            _above(
-                "reverse speed", -v, np.maximum(self._reverse, np.minimum.accumulate(-v)), "m/s"
-            ),
-        ]
-        turn = np.minimum.accumulate(np.abs(w))
-        found.append(_above("yaw rate", np.abs(w), np.maximum(self._yaw[0], turn), "rad/s"))
+        bounds = self._bounds(robot, trajectory.times, x)
+        found = [problem for bound in bounds if (problem := bound.problem(3))]
+        if len(x) > 1 and (worst := float(np.max(slip(x, np.diff(trajectory.times))))) > SLIP:
+            found.append(f"slides sideways by {1000 * worst:.1f} mm in a step")
+        return found
+
+    def within(self, robot: Robot, times: Array, states: Array) -> NDArray[np.bool_]:
+        """As they are driven they do not slide, whatever defect the states have."""
+        return np.logical_and.reduce([b.kept for b in self._bounds(robot, times, states)])
+
+    def _bounds(self, robot: Robot, times: Array, states: Array) -> Iterator[Bound]:
+        """Of states (..., S, 5). Who is beyond a limit now must not go further beyond it."""
+
+        def least(value: Array) -> Array:
+            return np.asarray(np.minimum.accumulate(value, axis=-1))
+
+        def bound(what: str, value: Array, limit: Array | float, unit: str) -> Bound:
+            return Bound(what, value, limit, unit, CREEP)
+
+        v, w, dt = states[..., 3], states[..., 4], np.diff(times)
+        yield bound("speed", v, np.maximum(robot.max_speed, least(v)), "m/s")
+        yield bound("reverse speed", -v, np.maximum(self._reverse, least(-v)), "m/s")
+        turn = np.abs(w)
+        yield bound("yaw rate", turn, np.maximum(self._yaw[0], least(turn)), "rad/s")
         if self._radius > 0:
-            tight = self._radius * np.abs(w)
+            tight = self._radius * turn
             # Who turns too tightly now may straighten.
-            allowed = np.maximum(np.abs(v), np.minimum.accumulate(tight - np.abs(v)) + np.abs(v))
-            found.append(_above("speed needed for its turn", tight, allowed, "m/s"))
-            found.append(_above("turn while changing direction", self._cusps(v, w), 0.0, "m/s"))
-        if len(dt):
-            a, alpha = np.abs(np.diff(v)) / dt, np.abs(np.diff(w)) / dt
-            found.append(_above("acceleration", a, robot.max_acceleration, "m/s²"))
-            found.append(_above("yaw acceleration", alpha, self._yaw[1], "rad/s²"))
-            worst = float(np.max(slip(x, dt)))
-            if worst > SLIP:
-                found.append(f"slides sideways by {1000 * worst:.1f} mm in a step")
-        return [problem for problem in found if problem]
+            allowed = np.maximum(np.abs(v), least(tight - np.abs(v)) + np.abs(v))
+            yield bound("speed needed for its turn", tight, allowed, "m/s")
+            yield bound("turn while changing direction", self._cusps(v, w), 0.0, "m/s")
+        a, alpha = np.abs(np.diff(v)) / dt, np.abs(np.diff(w)) / dt
+        yield bound("acceleration", a, robot.max_acceleration, "m/s²")
+        yield bound("yaw acceleration", alpha, self._yaw[1], "rad/s²")
 
     def _cusps(self, v: Array, w: Array) -> Array:
         """radius·|ω| at the moments between states when the speed changes its sign."""
-        crossing = v[:-1] * v[1:] < 0
-        share = np.where(crossing, v[:-1] / np.where(crossing, v[:-1] - v[1:], 1.0), 0.0)
-        turn = w[:-1] + share * np.diff(w)
-        return np.append(0.0, np.where(crossing, self._radius * np.abs(turn), 0.0))
+        before, after = v[..., :-1], v[..., 1:]
+        crossing = before * after < 0
+        share = np.where(crossing, before / np.where(crossing, before - after, 1.0), 0.0)
+        turn = w[..., :-1] + share * np.diff(w)
+        return np.where(crossing, self._radius * np.abs(turn), 0.0)
 
     def coast(self, now: Array, times: Array) -> Trajectory:
         states, still = np.tile(now, (len(times), 1)), np.zeros(2)
@@ -347,13 +358,3 @@ class CarLike(_Wheeled):
     @property
     def _radius(self) -> float:
         return self.min_turning_radius
-
-
-def _above(what: str, value: Array, limit: Array | float, unit: str) -> str:
-    """A problem in words when a value exceeds its limit by more than `CREEP`, else empty."""
-    limit = np.broadcast_to(limit, value.shape)
-    excess = np.where(np.isfinite(limit), value - limit, -np.inf)
-    worst = int(np.argmax(excess))
-    if excess[worst] <= CREEP:
-        return ""
-    return f"{what} {value[worst]:.3f} {unit} above {limit[worst]:.3f} {unit}"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fgplan.assembly import Assembly
 from fgplan.inference.diagnostics import effective_sample_size, kish
 from fgplan.inference.gaussian import Blend, blend, markov_fit
+from fgplan.inference.posterior import Posterior
 
 Array = NDArray[np.float64]
 
@@ -68,8 +69,7 @@ def bridge(log_ratio_posterior: Array, log_ratio_proposal: Array) -> Evidence:
 
 
 def evidence(
-    assembly: Assembly,
-    which: int,
+    posterior: Posterior,
     draws: Array,
     energies: Array,
     around: Blend,
@@ -81,8 +81,7 @@ def evidence(
     the second half is bridged to it, so that nothing is used twice.
 
     Args:
-        assembly: The density.
-        which: The hypothesis.
+        posterior: The density.
         draws: Shape (C, n, S, D).
         energies: Shape (C, n).
         around: Around the optima, the linear part last (`modes.proposal`).
@@ -90,16 +89,13 @@ def evidence(
     """
     half = draws.shape[1] // 2
     shape = draws.shape[2:]
-    q = fitted(assembly, draws[:, :half].reshape(-1, *shape), around)
+    q = fitted(posterior.assembly, draws[:, :half].reshape(-1, *shape), around)
     second = draws[:, half:]
-    offset = assembly.models[which].log_normalizer
+    offset = posterior.log_normalizer
     log_q = q.log_density(second.reshape(-1, *shape)).reshape(second.shape[:2])
     count = second.shape[0] * second.shape[1]
     Y = q.draw(rng, count)
-    energy = np.concatenate(
-        [assembly.energy(Y[at : at + 512], np.asarray(which)) for at in range(0, count, 512)]
-    )
-    energy = np.where(np.isfinite(energy), energy, np.inf)
+    energy = np.concatenate([posterior.energy(Y[at : at + 512]) for at in range(0, count, 512)])
     return bridge(offset - energies[:, half:] - log_q, offset - energy - q.log_density(Y))
 
 

@@ -15,6 +15,7 @@ from fgplan.inference.diagnostics import effective_sample_size, split_rhat, stan
 from fgplan.inference.gaussian import Blend
 from fgplan.inference.importance import deeper
 from fgplan.inference.modes import proposal
+from fgplan.inference.posterior import Posterior
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -29,63 +30,53 @@ class Target:
     """One hypothesis to sample, and a proposal around its optima.
 
     Args:
-        assembly: The density.
-        which: The hypothesis.
-        optima: Its distinct local optima.
+        posterior: The density, and its optima.
         around: `modes.proposal`: Student t around each, and a share of the linear part.
         leaps: What jumps are proposed from.
     """
 
-    assembly: Assembly
-    which: int
-    optima: Sequence[Solution]
+    posterior: Posterior
     around: Blend
     leaps: Blend
 
     @classmethod
     def of(cls, assembly: Assembly, which: int, optima: Sequence[Solution]) -> Target:
         """With the usual proposal."""
-        around = proposal(assembly, which, optima, 30.0, 0.1)
-        return cls(assembly, which, optima, around, around)
+        posterior = Posterior(assembly, which, optima)
+        around = proposal(posterior, 30.0, 0.1)
+        return cls(posterior, around, around)
 
     def adapted(self, seen: Sequence[Array]) -> Target:
         """With jumps from Gaussians fitted to warm-up states (n × (C, S, D)), one a mode: near
         limits and obstacles the optima's own Gaussians are far from the density."""
-        leaps = fitted(self.assembly, np.concatenate(seen), self.around) if seen else self.around
+        if not seen:
+            return self
+        leaps = fitted(self.posterior.assembly, np.concatenate(seen), self.around)
         return replace(self, leaps=leaps)
-
-    def energy(self, X: Array) -> Array:
-        """Shape (N,); inf where it is not finite."""
-        energy = self.assembly.energy(X, np.asarray(self.which))
-        return np.where(np.isfinite(energy), energy, np.inf)
-
-    def slope(self, X: Array) -> tuple[Array, Array]:
-        """Energy (N,) and gradient (N, S, D); an energy that is not finite is inf."""
-        with np.errstate(all="ignore"):  # a path that diverges is refused, not reported
-            q = self.assembly.gauss_newton(X, np.full(len(X), self.which))
-        energy = np.where(np.isfinite(q.energy), q.energy, np.inf)
-        return energy, np.where(np.isfinite(q.gradient), q.gradient, 0.0)
 
     def starts(self, chains: int, rng: Generator) -> Array:
         """Dispersed over the modes by their mass, every mode at least once, shape (C, S, D).
 
-        A draw around a mode that the density hardly allows is drawn towards it.
+        A draw around a mode that the density hardly allows is drawn towards an optimum there.
         """
-        near = len(self.around.parts) - 1
-        share = self.around.shares[:near] / self.around.shares[:near].sum()
-        mode = _allocate(share, chains)
-        X = np.empty((chains, *self.assembly.reference.shape[1:]))
-        limit = np.empty(chains)
-        centre = np.stack([self.around.parts[j].mean for j in mode])
-        for c, j in enumerate(mode):
-            X[c] = self.around.parts[j].draw(rng, 1)[0]
-            limit[c] = self.energy(centre[c : c + 1])[0] + self.assembly.dimension
+        posterior, near = self.posterior, len(self.around.parts) - 1
+        ends = np.stack([o.state for o in posterior.optima])
+        modes = self.around.log_densities(ends)[:, :near].argmax(axis=1)
+        allowed = posterior.energy(ends)
+        share = self.around.shares[:near].copy()
+        share[[j for j in range(near) if not np.isfinite(allowed[modes == j]).any()]] = 0.0
+        mode = _allocate(share / share.sum(), chains)
+        at = [min(np.flatnonzero(modes == j), key=lambda i: allowed[i]) for j in mode]
+        centre, limit = ends[at], allowed[at] + posterior.assembly.dimension
+        X = np.concatenate([self.around.parts[j].draw(rng, 1) for j in mode])
         for _ in range(20):
-            far = self.energy(X) > limit
+            far = posterior.energy(X) > limit
             if not far.any():
-                break
-            X[far] = 0.5 * (X[far] + centre[far])
-        return X
+                return X
+            for c in np.flatnonzero(far):
+                part = self.around.parts[mode[c]]
+                X[c] = part.bend(0.5 * (part.straighten(X[c]) + part.straighten(centre[c])))
+        return np.where(far[:, None, None], centre, X)
 
     def jump(
         self, X: Array, energy: Array, rng: Generator
@@ -100,7 +91,7 @@ class Target:
             Tierney, Annals of Statistics 1994, on mixtures of kernels.
         """
         Y = self.leaps.draw(rng, len(X))
-        proposed = self.energy(Y)
+        proposed = self.posterior.energy(Y)
         log_q = self.leaps.log_density(np.concatenate([X, Y]))
         log_ratio = energy - proposed + log_q[: len(X)] - log_q[len(X) :]
         accepted = np.log(rng.random(len(X))) < log_ratio
@@ -141,17 +132,18 @@ class Recorder:
         draws = np.stack(self.states, axis=1)
         energies = np.stack(self.energies, axis=1)
         C, n = energies.shape
-        free = draws.reshape(C, n, -1)[..., target.assembly.free.ravel()]
+        posterior = target.posterior
+        free = draws.reshape(C, n, -1)[..., posterior.assembly.free.ravel()]
         watched = np.concatenate([free, energies[..., None]], axis=-1)
         ess = float(effective_sample_size(watched).min())
         rhat = float(split_rhat(watched).max())
         spread = np.maximum(free.reshape(C * n, -1).std(axis=0), 1e-300)
         mcse = float((standard_error(free) / spread).max())
-        bridged = evidence(target.assembly, target.which, draws, energies, target.around, rng)
+        bridged = evidence(posterior, draws, energies, target.around, rng)
         flat = draws.reshape(C * n, *draws.shape[2:])
-        warnings = self._doubts(ess, rhat, bridged.overlap)
+        warnings = [*posterior.warnings, *self._doubts(ess, rhat, bridged.overlap)]
         warnings += _stuck(target, draws)
-        warnings += deeper(energies.ravel(), target.optima)
+        warnings += deeper(energies.ravel(), posterior.optima)
         connected = bridged.overlap >= LOW_OVERLAP
         possible = np.isfinite(bridged.log_z) and np.isfinite(bridged.error)
         return Inferred(
@@ -175,7 +167,7 @@ class Recorder:
                 gradients=self.differentiated,
             ),
             warnings=tuple(warnings),
-            model=target.assembly.models[target.which],
+            model=posterior.assembly.models[posterior.which],
         )
 
     def _doubts(self, ess: float, rhat: float, overlap: float) -> list[str]:
@@ -207,8 +199,8 @@ def _stuck(target: Target, draws: Array) -> list[str]:
 
 
 def _allocate(share: Array, chains: int) -> NDArray[np.intp]:
-    """Chains by mode: at least one each where there are enough, the rest by share."""
-    order = np.argsort(-share, kind="stable")[:chains]
+    """Chains by mode: at least one each with a share where there are enough, the rest by share."""
+    order = np.argsort(-share, kind="stable")[: min(chains, np.count_nonzero(share))]
     count = np.zeros(len(share), dtype=np.intp)
     count[order] = 1
     while count.sum() < chains:

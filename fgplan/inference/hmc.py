@@ -93,12 +93,12 @@ class HMC:
                 step, seen = _DualAveraging(self.target, step.settled), []
             size = step.trial if warm else step.settled
             leaps = 1 + int(rng.uniform(0.5, 1.5) * self.length / size)
-            accepted = paths.follow(size * rng.uniform(0.8, 1.0), min(leaps, self.most_leaps), rng)
+            kept = paths.follow(size * rng.uniform(0.8, 1.0), min(leaps, self.most_leaps), rng)
             if warm:
-                step.learn(float(accepted.mean()))
+                step.learn(float(kept.mean()))
                 seen.append(paths.Y)
             else:
-                record.accepted.append(float(accepted.mean()))
+                record.accepted.append(paths.accepted)
             if self.jump_every and i % self.jump_every == self.jump_every - 1:
                 went = paths.jump(rng)
                 record.evaluated += self.chains
@@ -116,9 +116,10 @@ class HMC:
 
     def _mass(self, target: Target, X: Array) -> Gaussian:
         """The first mass matrix; of a robot with wheels at the best optimum."""
-        best = min(target.optima, key=lambda o: o.energy).state[None]
-        mass = average_curvature(target.assembly, best, target.which)
-        return mass if mass.shear else average_curvature(target.assembly, X, target.which)
+        posterior = target.posterior
+        assembly, which = posterior.assembly, posterior.which
+        mass = average_curvature(assembly, posterior.best.state[None], which)
+        return mass if mass.shear else average_curvature(assembly, X, which)
 
     def _fit(self, mass: Gaussian, seen: list[Array]) -> Gaussian | None:
         """From deviations of each chain from its own mean: modes apart do not widen it."""
@@ -136,7 +137,7 @@ class _Paths:
     def __init__(self, target: Target, mass: Gaussian, X: Array) -> None:
         self.target, self.mass, self.Y = target, mass, mass.straighten(X)
         self.energy, self.slope = self._slope(self.Y)
-        self.divergences, self.gradients = 0, len(X)
+        self.divergences, self.gradients, self.accepted = 0, len(X), 1.0
 
     @property
     def X(self) -> Array:
@@ -144,7 +145,12 @@ class _Paths:
         return self.mass.bend(self.Y)
 
     def follow(self, step: float, leaps: int, rng: Generator) -> Array:
-        """One path of every chain by leapfrog; returns the probability of acceptance of each."""
+        """One path of every chain by leapfrog, refused where it ends beyond a limit.
+
+        Returns:
+            What the leapfrog alone would leave of its probability of acceptance, shape (C,): a
+            shorter step keeps energy better, and limits no better.
+        """
         L, mass = self.mass.factor, self.mass
         r = mass.noise(rng, len(self.Y))
         before = self.energy + 0.5 * np.einsum("nsd,nsd->n", r, r)
@@ -161,7 +167,9 @@ class _Paths:
         self.divergences += int(np.count_nonzero(error > DIVERGED))
         probability = np.exp(-np.maximum(error, 0.0))
         accepted = rng.random(len(Y)) < probability
+        accepted &= self.target.posterior.allows(self.mass.bend(Y))
         self._move(Y, energy, slope, accepted)
+        self.accepted = float(accepted.mean())
         return np.asarray(probability)
 
     def jump(self, rng: Generator) -> NDArray[np.bool_]:
@@ -177,7 +185,7 @@ class _Paths:
     def _slope(self, Y: Array) -> tuple[Array, Array]:
         """Energy (C,) and its gradient in y (C, S, D)."""
         X = self.mass.bend(Y)
-        energy, slope = self.target.slope(X)
+        energy, slope = self.target.posterior.slope(X)
         shear = self.mass.shear
         return energy, slope if shear is None else shear.pull(X, slope) * self.mass.free
 

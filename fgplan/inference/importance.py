@@ -23,7 +23,7 @@ from fgplan.inference.base import (
 from fgplan.inference.diagnostics import kish, pareto_shape
 from fgplan.inference.gaussian import Blend, blend, linear, prior
 from fgplan.inference.modes import proposal
-from fgplan.model import Model
+from fgplan.inference.posterior import Posterior
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -86,25 +86,24 @@ class Importance:
         progress: Progress | None = None,
     ) -> Inferred:
         rng = np.random.default_rng(seed)
-        model = assembly.models[which]
+        posterior = Posterior(assembly, which, optima)
         if self.source == "kinematic":
-            drawn = _kinematic(assembly, which, self.draws, rng, self.batch, progress, self.name)
+            drawn = _kinematic(posterior, self.draws, rng, self.batch, progress, self.name)
         else:
-            q = self._proposal(assembly, which, optima)
-            drawn = weigh(assembly, which, q, self.draws, rng, self.batch, progress, self.name)
-        return weighted(self.name, model, *drawn, optima)
+            q = self._proposal(posterior)
+            drawn = weigh(posterior, q, self.draws, rng, self.batch, progress, self.name)
+        return weighted(self.name, posterior, *drawn)
 
-    def _proposal(self, assembly: Assembly, which: int, optima: Sequence[Solution]) -> Blend:
+    def _proposal(self, posterior: Posterior) -> Blend:
         """What is drawn from, with a density."""
         if self.source == "laplace":
-            return proposal(assembly, which, optima, self.dof, self.defensive)
-        whole = linear(assembly, which) if self.source == "linear" else prior(assembly, which)
-        return blend([(whole, 1.0, float("inf"))])
+            return proposal(posterior, self.dof, self.defensive)
+        of = linear if self.source == "linear" else prior
+        return blend([(of(posterior.assembly, posterior.which), 1.0, float("inf"))])
 
 
 def weigh(
-    assembly: Assembly,
-    which: int,
+    posterior: Posterior,
     q: Blend,
     draws: int,
     rng: np.random.Generator,
@@ -113,21 +112,19 @@ def weigh(
     what: str = "importance",
 ) -> tuple[Array, Array, Array]:
     """Draws from q with log p/q, p carrying its normalisers, and their energies."""
-    X = np.empty((draws, *assembly.reference.shape[1:]))
+    X = np.empty((draws, *posterior.assembly.reference.shape[1:]))
     log_weights, energies = np.empty(draws), np.empty(draws)
     for at in range(0, draws, batch):
         rows = slice(at, min(at + batch, draws))
         X[rows] = q.draw(rng, rows.stop - rows.start)
-        energy = assembly.energy(X[rows], np.asarray(which))
-        energies[rows] = np.where(np.isfinite(energy), energy, np.inf)
+        energies[rows] = posterior.energy(X[rows])
         log_weights[rows] = -energies[rows] - q.log_density(X[rows])
         tell(progress, what, rows.stop, draws)
-    return X, log_weights + assembly.models[which].log_normalizer, energies
+    return X, log_weights + posterior.log_normalizer, energies
 
 
 def _kinematic(
-    assembly: Assembly,
-    which: int,
+    posterior: Posterior,
     draws: int,
     rng: np.random.Generator,
     batch: int,
@@ -139,6 +136,7 @@ def _kinematic(
     Raises:
         ValueError: the density has no robot model, or its levels no prior of their own.
     """
+    assembly, which = posterior.assembly, posterior.which
     model = assembly.models[which]
     if model.kinematic is None:
         raise ValueError("this density has no robot model to draw from")
@@ -153,7 +151,7 @@ def _kinematic(
         if others is not None:
             X[rows] = others.draw(rng, count)
         X[rows, :, robot] = model.kinematic(count, rng)
-        energies[rows] = assembly.energy(X[rows], np.asarray(which))
+        energies[rows] = posterior.energy(X[rows])
         log_psi[rows] = -_potentials(assembly, which, X[rows])
         tell(progress, what, rows.stop, draws)
     return X, log_psi, energies
@@ -180,27 +178,26 @@ def log_mean(log_weights: Array) -> tuple[float, float]:
 
 
 def weighted(
-    name: str,
-    model: Model,
-    X: Array,
-    log_weights: Array,
-    energies: Array,
-    optima: Sequence[Solution],
+    name: str, posterior: Posterior, X: Array, log_weights: Array, energies: Array
 ) -> Inferred:
-    """The result of weighted draws."""
-    N = len(X)
+    """The result of weighted draws; those without weight are counted and not returned."""
+    N, possible = len(X), np.isfinite(log_weights)
     log_z, error = log_mean(log_weights)
     ess, tail = kish(log_weights), pareto_shape(log_weights)
-    possible = np.isfinite(log_z)
-    weights = np.exp(log_weights - np.logaddexp.reduce(log_weights)) if possible else None
     doubts = distrust(ess, tail)  # an error from such weights would itself be one
+    some = bool(possible.any())
+    if some:
+        X, log_weights, energies = X[possible], log_weights[possible], energies[possible]
+    else:  # nothing that was drawn can be: what the solver found is all there is
+        best = posterior.best
+        X, log_weights, energies = best.state[None], np.zeros(1), np.array([best.energy])
     return Inferred(
         method=name,
         states=X,
-        weights=np.full(N, 1 / N) if weights is None else weights,
+        weights=np.exp(log_weights - np.logaddexp.reduce(log_weights)),
         energies=energies,
-        log_evidence=log_z if possible else None,
-        log_evidence_error=error if possible and not doubts else None,
+        log_evidence=log_z if some else None,
+        log_evidence_error=error if some and not doubts else None,
         diagnostics=Diagnostics(
             draws=N,
             ess=ess,
@@ -209,8 +206,8 @@ def weighted(
             pareto=tail,
             energies=N,
         ),
-        warnings=(*doubts, *deeper(energies, optima)),
-        model=model,
+        warnings=(*posterior.warnings, *doubts, *deeper(energies, posterior.optima)),
+        model=posterior.assembly.models[posterior.which],
     )
 
 

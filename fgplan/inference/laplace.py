@@ -14,6 +14,7 @@ from fgplan.inference.base import HEAVY_TAIL, Diagnostics, Inferred, Progress, S
 from fgplan.inference.diagnostics import kish, pareto_shape
 from fgplan.inference.importance import log_mean, weigh
 from fgplan.inference.modes import Limits, modes, proposal
+from fgplan.inference.posterior import Posterior
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -69,10 +70,12 @@ class Laplace:
         seed: Seed = 0,
         progress: Progress | None = None,
     ) -> Inferred:
-        best = min(optima, key=lambda o: o.energy)
+        posterior = Posterior(assembly, which, optima)
+        best = posterior.best
         used = list(optima) if self.modes == "all" else [best]
-        found = modes(assembly, which, used, self.limits)
-        warnings = []
+        posterior = Posterior(assembly, which, used)
+        found = modes(posterior, self.limits)
+        warnings = list(posterior.warnings)
         if len(used) < len(optima):
             warnings.append(f"one mode of {len(optima)}")
         if not found:
@@ -85,7 +88,7 @@ class Laplace:
         log_z = float(np.logaddexp.reduce(log_mass))
         error, numbers = None, Diagnostics(draws=len(found))
         if self.check:
-            error, numbers, doubts = self._checked(assembly, which, used, log_z, seed, progress)
+            error, numbers, doubts = self._checked(posterior, log_z, seed, progress)
             warnings += doubts
         return Inferred(
             method=self.name,
@@ -102,22 +105,18 @@ class Laplace:
 
     def _checked(
         self,
-        assembly: Assembly,
-        which: int,
-        optima: Sequence[Solution],
+        posterior: Posterior,
         log_z: float,
         seed: Seed,
         progress: Progress | None,
     ) -> tuple[float | None, Diagnostics, list[str]]:
         """Error, numbers and warnings from importance sampling around the same Gaussians."""
         rng = np.random.default_rng(seed)
-        q = proposal(assembly, which, optima, dof=30.0, defensive=0.1)
-        _, log_weights, _ = weigh(
-            assembly, which, q, self.check, rng, progress=progress, what=self.name
-        )
+        q = proposal(posterior, dof=30.0, defensive=0.1)
+        _, log_weights, _ = weigh(posterior, q, self.check, rng, progress=progress, what=self.name)
         sampled, sampling_error = log_mean(log_weights)
         ess, tail = kish(log_weights), pareto_shape(log_weights)
-        numbers = Diagnostics(len(optima), ess=ess, pareto=tail, energies=self.check)
+        numbers = Diagnostics(len(posterior.optima), ess=ess, pareto=tail, energies=self.check)
         if ess < FEW or tail > HEAVY_TAIL:
             why = f"{ess:.0f} effective of {self.check} draws, tail {tail:.2f}"
             return None, numbers, [f"the density is far from Gaussian around its modes ({why})"]
@@ -147,5 +146,5 @@ def mode_evidence(assembly: Assembly, solution: Solution, which: int) -> float |
         The log evidence of this one mode; None where the Hessian is not positive definite, which
         is to say where the point is not a minimum.
     """
-    found = modes(assembly, which, [solution], "curvature")
+    found = modes(Posterior(assembly, which, [solution]), "curvature")
     return found[0].log_mass if found else None

@@ -21,12 +21,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from factors.hinge import hinge_scale
 from factors.kinematics import (
@@ -40,6 +38,8 @@ from factors.residual import Residual
 from fgplan.assembly import Assembly
 from fgplan.block_tridiagonal import System, factorize
 from fgplan.inference.gaussian import Gaussian
+from fgplan.inference.tilted import Tilted, tilted_length, tilted_number
+from fgplan.robots import LIMIT_SHARE
 
 Array = NDArray[np.float64]
 
@@ -48,18 +48,6 @@ SETTLED = 1e-3
 """Change of log Z in a sweep at which it ends [nats]."""
 DAMPING = 0.7
 """Share of a new site factor that is taken on: all change at once."""
-ANGLES, INSIDE, BEYOND = 12, 10, 6
-"""Gauss–Legendre nodes of a limit on a length: half of the angle, radius within and beyond it."""
-WIDE = 6.0
-"""Standard deviations integrated over."""
-
-
-class Tilted(NamedTuple):
-    """log Z, mean (n, m) and covariance (n, m, m) of t_i(u) N(u; cavity), by site."""
-
-    log_z: Array
-    mean: Array
-    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,24 +59,29 @@ class Sites:
         at: A_i x* of a length, A_i x* − limit of a number, shape (n, m).
         limit: Of a length; not used for a number.
         scale: 1/σ of the hinge.
+        room: From where the hinge begins to what is never exceeded: one for a length, shape (n,)
+            for numbers; inf where there is no such bound.
     """
 
     A: Array
     at: Array
     limit: float
     scale: float
+    room: float | Array
 
     def tilted(self, mean: Array, covariance: Array) -> Tilted:
         """Moments of the limits under cavities of u: means (n, m), covariances (n, m, m)."""
         s = self.at + mean
         if self.A.shape[1] == 1:
-            found = _number(s[:, 0], covariance[:, 0, 0], self.scale)
+            found = tilted_number(s[:, 0], covariance[:, 0, 0], self.scale, self.room)
         else:
-            found = _length(s, covariance, self.limit, self.scale)
+            found = tilted_length(s, covariance, self.limit, self.scale, float(self.room))
         return found._replace(mean=found.mean - self.at)
 
 
-def moderated(assembly: Assembly, state: Array, which: int) -> tuple[Gaussian, float] | None:
+def moderated(
+    assembly: Assembly, state: Array, which: int, bounded: bool = False
+) -> tuple[Gaussian, float] | None:
     """The Gaussian around a local optimum with the limits propagated, and the log of the mass of
     the unnormalised density; None where the rest of the density has no minimum there.
 
@@ -96,6 +89,8 @@ def moderated(assembly: Assembly, state: Array, which: int) -> tuple[Gaussian, f
         assembly: The density.
         state: A local optimum, shape (S, D).
         which: Its hypothesis.
+        bounded: Whether the density is 0 beyond the limits themselves (`Posterior.bounded`), of
+            which the hinges begin at a share of `LIMIT_SHARE`.
     """
     index = np.array([which])
     q = assembly.expand(state[None], index)
@@ -106,7 +101,7 @@ def moderated(assembly: Assembly, state: Array, which: int) -> tuple[Gaussian, f
     for wired, term in assembly.wired(which):
         if not term.robots_own:
             continue
-        found = list(_sites(assembly, term.residual, term.steps.start, state))
+        found = list(_sites(assembly, term.residual, term.steps.start, state, bounded))
         if not found:
             continue
         part = wired.residual.expand(*wired.variables(state))
@@ -193,7 +188,9 @@ def _overlap(cavity: Array, push: Array, precision: Array, shift: Array) -> Arra
     )
 
 
-def _sites(assembly: Assembly, residual: Residual, first: int, state: Array) -> Iterator[Sites]:
+def _sites(
+    assembly: Assembly, residual: Residual, first: int, state: Array, bounded: bool
+) -> Iterator[Sites]:
     """The limits of a residual at all its steps from `first` on; none where it is no limit that
     can be propagated."""
     columns = assembly.models[0].columns["robot"]
@@ -208,10 +205,12 @@ def _sites(assembly: Assembly, residual: Residual, first: int, state: Array) -> 
         A[np.arange(n), :, steps + offset] = matrix
         at += robot[steps + offset] @ matrix.T
     A *= free
+    room = (1 / LIMIT_SHARE - 1) * limit if bounded and limit.any() else np.full(m, np.inf)
     if not length:  # each row is a limit of its own
         A, at = A.reshape(n * m, 1, *robot.shape), (at - limit).reshape(n * m, 1)
     moving = np.any(A != 0, axis=(1, 2, 3))
-    yield Sites(A[moving], at[moving], float(np.max(limit)), scale)
+    room = float(room[0]) if length else np.tile(room, n)[moving]
+    yield Sites(A[moving], at[moving], float(np.max(limit)), scale, room)
 
 
 class _Rows(NamedTuple):
@@ -244,82 +243,6 @@ def _rows(residual: Residual, robot: Array) -> _Rows | None:
         cone = np.array([[0, 0, 0, -1, residual.radius], [0, 0, 0, -1, -residual.radius]])
         return _Rows((cone,), np.zeros(2), scale, False)
     return None
-
-
-def _number(excess: Array, variance: Array, scale: float) -> Tilted:
-    """Of exp(−½ (scale · max(0, e))²) under e ~ N(excess, variance), all (n,): two pieces of
-    Gaussians."""
-    sd = np.sqrt(variance)
-    shrink = 1 + scale**2 * variance
-    inner, outer = excess / shrink, sd / np.sqrt(shrink)
-    log_w = np.stack(
-        [
-            log_ndtr(-excess / sd),
-            log_ndtr(inner / outer) - 0.5 * np.log(shrink) - 0.5 * (scale * excess) ** 2 / shrink,
-        ]
-    )
-    below, above = _cut(-excess / sd), _cut(inner / outer)
-    means = np.stack([excess - sd * below[0], inner + outer * above[0]])
-    variances = np.stack([variance * below[1], outer**2 * above[1]])
-    log_z = np.logaddexp(*log_w)
-    w = np.exp(log_w - log_z)
-    mean = (w * means).sum(axis=0)
-    spread = (w * (variances + (means - mean) ** 2)).sum(axis=0)
-    return Tilted(log_z, mean[:, None], spread[:, None, None])
-
-
-def _cut(alpha: Array) -> tuple[Array, Array]:
-    """Of z ~ N(0, 1) given z < α: −mean, and variance."""
-    ratio = np.exp(-0.5 * alpha**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(alpha))
-    return ratio, np.maximum(1 - alpha * ratio - ratio**2, 1e-12)
-
-
-def _length(mean: Array, covariance: Array, limit: float, scale: float) -> Tilted:
-    """Of exp(−½ (scale · max(0, ‖s‖ − limit))²) under s ~ N(mean, covariance) in the plane, by
-    quadrature in angle and radius where the Gaussian is."""
-    centre = np.linalg.norm(mean, axis=1)
-    sd = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
-    reach = WIDE * sd
-    low = np.minimum(np.maximum(centre - reach, 0.0), limit)
-    middle = np.minimum(centre + reach, limit)
-    # Beyond the limit it is about a Gaussian in the radius, between the limit and the centre.
-    narrow = 1 / np.sqrt(1 / sd**2 + scale**2)
-    peak = narrow**2 * (centre / sd**2 + scale**2 * limit)
-    first, last = (np.maximum(limit, peak + sign * WIDE * narrow) for sign in (-1, 1))
-    half = np.where(
-        centre > reach, np.arcsin(np.minimum(reach / np.maximum(centre, 1e-12), 1)), np.pi
-    )
-    toward = np.arctan2(mean[:, 1], mean[:, 0])
-    phi, phi_w = _nodes(ANGLES, toward - half, toward), _nodes(ANGLES, toward, toward + half)
-    inside, beyond = _nodes(INSIDE, low, middle), _nodes(BEYOND, first, last)
-    angle, angle_w = (np.concatenate(pair, axis=1) for pair in zip(phi, phi_w, strict=True))
-    radius, radius_w = (np.concatenate(pair, axis=1) for pair in zip(inside, beyond, strict=True))
-    x = radius[:, None] * np.cos(angle)[:, :, None] - mean[:, 0, None, None]
-    y = radius[:, None] * np.sin(angle)[:, :, None] - mean[:, 1, None, None]
-    H = np.linalg.inv(covariance)[..., None, None]
-    log_p = (-0.5 * H[:, 0, 0] * x - H[:, 0, 1] * y) * x - 0.5 * H[:, 1, 1] * y**2
-    log_p -= 0.5 * (scale * np.maximum(radius - limit, 0.0))[:, None] ** 2
-    weight = np.exp(log_p) * (radius * radius_w)[:, None] * angle_w[:, :, None]
-    total = weight.sum(axis=(1, 2))
-    weight /= total[:, None, None]
-    shift = np.stack([(weight * x).sum(axis=(1, 2)), (weight * y).sum(axis=(1, 2))], axis=-1)
-    xx, xy, yy = ((weight * v).sum(axis=(1, 2)) for v in (x * x, x * y, y * y))
-    square = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
-    spread = square - shift[:, :, None] * shift[:, None, :]
-    log_z = np.log(total) - np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(covariance)[1]
-    return Tilted(log_z, mean + shift, spread)
-
-
-def _nodes(count: int, low: Array, high: Array) -> tuple[Array, Array]:
-    """Gauss–Legendre nodes and weights between limits (n,), shape (n, count)."""
-    x, w = _legendre(count)
-    half = 0.5 * (high - low)[:, None]
-    return low[:, None] + half * (x + 1), half * w
-
-
-@cache
-def _legendre(count: int) -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(count)
 
 
 def _inverse(M: Array) -> Array:

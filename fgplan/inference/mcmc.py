@@ -77,7 +77,7 @@ class EllipticalSlice:
         record = Recorder()
         X = target.starts(self.chains, rng)
         N = prior(assembly, which) if self.reference == "prior" else linear(assembly, which)
-        energy = target.energy(X)
+        energy = target.posterior.energy(X)
         steps = self.warmup + self.draws * self.thin
         seen: list[Array] = []
         for i in range(steps):
@@ -85,7 +85,7 @@ class EllipticalSlice:
                 target = target.adapted(seen)
                 record.accepted.clear()
                 record.jumps.clear()
-            X, energy, tries = slice_step(target.energy, N, X, energy, rng)
+            X, energy, tries = slice_step(target.posterior.energy, N, X, energy, rng)
             record.evaluated += tries
             record.accepted.append(self.chains / tries)
             if self.jump_every and i % self.jump_every == self.jump_every - 1:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.assembly import Assembly
 from fgplan.inference.gaussian import Blend, Gaussian, at_mode, average_curvature, blend, linear
 from fgplan.inference.limits import moderated
+from fgplan.inference.posterior import Posterior
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -32,22 +31,19 @@ class Mode(NamedTuple):
     log_mass: float
 
 
-def modes(
-    assembly: Assembly, which: int, optima: Sequence[Solution], limits: Limits = "propagated"
-) -> tuple[Mode, ...]:
+def modes(posterior: Posterior, limits: Limits = "propagated") -> tuple[Mode, ...]:
     r"""Every optimum that matters and is one: log mass = log p(x*) + (d/2) log 2π − ½ log det H,
     and where limits are propagated what they change of it.
 
     Args:
-        assembly: The density.
-        which: The hypothesis.
-        optima: Its distinct local optima; those without a positive definite Hessian are left out,
-            and those `NEGLIGIBLE` nats above the best.
+        posterior: The density and its distinct local optima; those without a positive definite
+            Hessian are left out, and those `NEGLIGIBLE` nats above the best.
         limits: How the robot's limits are seen.
     """
-    lowest = min(o.energy for o in optima)
+    assembly, which = posterior.assembly, posterior.which
+    lowest = posterior.best.energy
     found = []
-    for optimum in optima:
+    for optimum in posterior.optima:
         if not optimum.energy < lowest + NEGLIGIBLE:
             continue
         gaussian = at_mode(assembly, optimum.state, which)
@@ -55,18 +51,13 @@ def modes(
             continue
         log_mass = gaussian.log_volume - optimum.energy
         if limits == "propagated":
-            gaussian, log_mass = moderated(assembly, optimum.state, which) or (gaussian, log_mass)
-        found.append(Mode(optimum, gaussian, assembly.models[which].log_normalizer + log_mass))
+            within = moderated(assembly, optimum.state, which, posterior.bounded)
+            gaussian, log_mass = within or (gaussian, log_mass)
+        found.append(Mode(optimum, gaussian, posterior.log_normalizer + log_mass))
     return tuple(found)
 
 
-def proposal(
-    assembly: Assembly,
-    which: int,
-    optima: Sequence[Solution],
-    dof: float,
-    defensive: float,
-) -> Blend:
+def proposal(posterior: Posterior, dof: float, defensive: float) -> Blend:
     r"""(1 − defensive) Σ_j mass_j t_ν(x_j*, H_j) + defensive N(linear-Gaussian part).
 
     Potentials have energies that are never negative, so that the density lies below its linear
@@ -78,8 +69,9 @@ def proposal(
     Reference:
         Hesterberg, Technometrics 1995, on defensive mixtures.
     """
+    assembly, which = posterior.assembly, posterior.which
     whole = linear(assembly, which)
-    found = modes(assembly, which, optima)
+    found = modes(posterior)
     if found:
         log_mass = np.array([mode.log_mass for mode in found])
         share = np.exp(log_mass - np.logaddexp.reduce(log_mass))
@@ -88,7 +80,6 @@ def proposal(
             for mode, s in zip(found, share.tolist(), strict=True)
         ]
     else:
-        best = min(optima, key=lambda o: o.energy)
-        stand_in = average_curvature(assembly, best.state[None], which)
+        stand_in = average_curvature(assembly, posterior.best.state[None], which)
         parts = [(stand_in, 1 - defensive, dof)]
     return blend([*parts, (whole, defensive, float("inf"))])

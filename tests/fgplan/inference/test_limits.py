@@ -18,7 +18,8 @@ from factors.residual import Expansion, Residual
 from fgplan import CarLike, Density, DifferentialDrive, Holonomic, Robot, SecondOrder
 from fgplan.assembly import Assembly
 from fgplan.inference import Importance, Laplace
-from fgplan.inference.limits import _length, _number, moderated
+from fgplan.inference.limits import moderated
+from fgplan.inference.tilted import tilted_length, tilted_number
 from fgplan.keys import robot
 from fgplan.model import Model, Term, Variable
 from fgplan.solver import Solution
@@ -43,7 +44,7 @@ def test_a_limit_on_a_number_has_the_moments_of_quadrature(
 
     Z = moment(0)
     mean = moment(1) / Z
-    got = _number(np.array([excess]), np.array([sd**2]), scale)
+    got = tilted_number(np.array([excess]), np.array([sd**2]), scale)
     assert got.log_z[0] == pytest.approx(np.log(Z), abs=1e-7)
     assert got.mean[0, 0] == pytest.approx(mean, abs=1e-6)
     assert got.covariance[0, 0, 0] == pytest.approx(moment(2, mean) / Z, rel=1e-5)
@@ -63,7 +64,7 @@ def test_a_limit_on_a_length_has_the_moments_of_a_fine_grid(where: Any, wide: fl
     mean = np.einsum("xy,xyi->i", p, s) / Z
     e = s - mean
     spread = np.einsum("xy,xyi,xyj->ij", p, e, e) / Z
-    got = _length(np.array([where]), covariance[None], limit, scale)
+    got = tilted_length(np.array([where]), covariance[None], limit, scale)
     area = (x[1] - x[0]) ** 2 / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
     assert got.log_z[0] == pytest.approx(np.log(Z * area), abs=5e-3, rel=2e-3)
     assert_allclose(got.mean[0], mean, atol=6e-3)
