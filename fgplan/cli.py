@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgplan import selection
-from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace
+from fgplan.inference import METHODS
 from fgplan.inference.laplace import QUICK
 from fgplan.mixture import Component, Mixture
 from fgplan.planner import plan
@@ -90,14 +90,6 @@ class InferenceName(StrEnum):
     HMC = "hmc"
 
 
-METHODS: dict[InferenceName | None, Inference] = {
-    None: QUICK,
-    InferenceName.MAP: MAP(),
-    InferenceName.LAPLACE: Laplace(),
-    InferenceName.IMPORTANCE: Importance(),
-    InferenceName.MCMC: EllipticalSlice(),
-    InferenceName.HMC: HMC(),
-}
 SOLVERS: dict[SolverName, Solver] = {
     SolverName.SECOND_ORDER: SecondOrder(),
     SolverName.GTSAM: GtsamLM(),
@@ -143,7 +135,8 @@ def plan_command(
         with progress() as tell:
             mixture = plan(
                 asked, solver=SOLVERS[solver], select=RULES[select],
-                inference=METHODS[inference], seed=seed, progress=tell,
+                inference=QUICK if inference is None else METHODS[inference],
+                seed=seed, progress=tell,
             )  # fmt: skip
     if json_to == "-":
         print(_json(mixture))

@@ -18,9 +18,8 @@ from fgplan.crowd import Belief, believe, heading, seen
 from fgplan.errors import NoPlan
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
-from fgplan.inference.base import Inference, Progress
+from fgplan.inference import MAP, Inference, Progress, named
 from fgplan.inference.laplace import QUICK
-from fgplan.inference.map import MAP
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.model import build
 from fgplan.obeying import obeying
@@ -54,7 +53,7 @@ def plan(
     hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = operated(hypothesise),  # noqa: B008
     warm: Mixture | None = None,
     deadline: float | None = None,
-    inference: Inference = QUICK,
+    inference: Inference | str = QUICK,
     seed: int = 0,
     progress: Progress | None = None,
     check: Checker = check,
@@ -75,8 +74,9 @@ def plan(
             are starts beside the cold ones.
         deadline: Seconds from the call after which the best plan so far is returned; it says
             which hypotheses were finished and which were dropped.
-        inference: What gives each hypothesis its evidence, and with it `probability_mass`: see
-            `fgplan.inference`. The deadline is for the solver and not for a sampler.
+        inference: What gives each hypothesis its evidence, and with it `probability_mass`: a
+            method of `fgplan.inference`, or its name ("map", "laplace", "importance", "mcmc",
+            "hmc") for its default settings. The deadline is for the solver and not for a sampler.
         seed: Of a sampler.
         progress: Told (what, done, total) by a sampler.
         check: The hard check of a trajectory: what no energy can buy.
@@ -89,8 +89,10 @@ def plan(
         ScenarioError: the scenario makes no sense; all mistakes are named.
         NoRoute: a goal is stated and nothing leads there.
         NoPlan: no hypothesis has a finite posterior.
+        ValueError: no inference has that name.
     """
     began = perf_counter()
+    inference = named(inference)
     if solver is None:
         solver = SecondOrder(margin=0.0) if isinstance(inference, MAP) else SecondOrder()
     validate(scenario)

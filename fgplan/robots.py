@@ -227,7 +227,8 @@ class Holonomic:
         return [problem for bound in bounds if (problem := bound.problem(2))]
 
     def within(self, robot: Robot, times: Array, states: Array) -> NDArray[np.bool_]:
-        return np.logical_and.reduce([b.kept for b in self._bounds(robot, times, states)])
+        kept = [bound.kept for bound in self._bounds(robot, times, states)]
+        return np.asarray(np.logical_and.reduce(kept))
 
     def _bounds(self, robot: Robot, times: Array, states: Array) -> Iterator[Bound]:
         """Of states (..., S, 4). Who is too fast now may slow down, and must not get faster."""

@@ -194,7 +194,8 @@ class _Wheeled(ABC):
 
     def within(self, robot: Robot, times: Array, states: Array) -> NDArray[np.bool_]:
         """As they are driven they do not slide, whatever defect the states have."""
-        return np.logical_and.reduce([b.kept for b in self._bounds(robot, times, states)])
+        kept = [bound.kept for bound in self._bounds(robot, times, states)]
+        return np.asarray(np.logical_and.reduce(kept))
 
     def _bounds(self, robot: Robot, times: Array, states: Array) -> Iterator[Bound]:
         """Of states (..., S, 5). Who is beyond a limit now must not go further beyond it."""

@@ -10,9 +10,29 @@ from fgplan.inference.laplace import Laplace
 from fgplan.inference.map import MAP
 from fgplan.inference.mcmc import EllipticalSlice
 
+METHODS: dict[str, Inference] = {
+    method.name: method for method in (MAP(), Laplace(), Importance(), EllipticalSlice(), HMC())
+}
+"""All methods with their default settings, by the name that the command line knows them by."""
+
+
+def named(inference: Inference | str) -> Inference:
+    """The method itself, or that of a name in `METHODS`.
+
+    Raises:
+        ValueError: no method has that name.
+    """
+    if not isinstance(inference, str):
+        return inference
+    if inference not in METHODS:
+        raise ValueError(f"inference must be one of {', '.join(METHODS)}, got {inference!r}")
+    return METHODS[inference]
+
+
 __all__ = [
     "HMC",
     "MAP",
+    "METHODS",
     "Diagnostics",
     "EllipticalSlice",
     "Importance",
@@ -20,5 +40,6 @@ __all__ = [
     "Inferred",
     "Laplace",
     "Progress",
+    "named",
     "probabilities",
 ]

@@ -28,6 +28,9 @@ HIGH_RHAT = 1.01
 HEAVY_TAIL = 0.7
 """Pareto shape above which importance weights cannot be trusted (Vehtari et al., JMLR 2024)."""
 
+REDRAWN = 100
+"""A Gaussian's draws beyond a limit are drawn again so often; then it is its optimum."""
+
 
 class Inference(Protocol):
     """A way to know p(x | hypothesis i, data) and its evidence: a frozen strategy."""
@@ -161,14 +164,27 @@ class Inferred:
         return tuple(model.trajectory(state, name) for state in self.states)
 
     def resampled(self, count: int, seed: Seed = 0) -> Array:
-        """Trajectories of equal weight, shape (count, S, D)."""
+        """Trajectories of equal weight, shape (count, S, D). Around optima that keep the robot's
+        limits, what would break one is drawn again."""
         rng = np.random.default_rng(seed)
         rows = rng.choice(len(self.states), size=count, p=self.weights)
         X = self.states[rows]
         for j, gaussian in enumerate(self.gaussians):
-            own = np.flatnonzero(rows == j)
-            X[own] = gaussian.draw(rng, len(own))
+            left = np.flatnonzero(rows == j)
+            for _ in range(REDRAWN if self._within(self.states[j : j + 1]).all() else 1):
+                drawn = gaussian.draw(rng, len(left))
+                fine = self._within(drawn) | ~self._within(X[left])
+                X[left[fine]] = drawn[fine]
+                left = left[~fine]
+                if not len(left):
+                    break
         return X
+
+    def _within(self, X: Array) -> NDArray[np.bool_]:
+        """Which states (N, S, D) break no limit of the robot, shape (N,)."""
+        if self.model is None or self.model.within is None:
+            return np.ones(len(X), dtype=bool)
+        return self.model.within(X[..., self.model.columns["robot"]])
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers for JSON, without the trajectories."""

@@ -114,8 +114,11 @@ def moderated(
     rest = system._replace(diagonal=diagonal, upper=upper)
     if factorize(*rest) is None:
         return None
-    ended = _propagate(assembly, state, rest, slope, sites)
-    return None if ended is None else (ended[0], ended[1] - energy)
+    try:
+        ended = _propagate(assembly, state, rest, slope, sites)
+    except np.linalg.LinAlgError:  # what is left of a Gaussian far beyond its limits has no width
+        return None
+    return None if ended is None or not np.isfinite(ended[1]) else (ended[0], ended[1] - energy)
 
 
 def _propagate(
@@ -209,8 +212,8 @@ def _sites(
     if not length:  # each row is a limit of its own
         A, at = A.reshape(n * m, 1, *robot.shape), (at - limit).reshape(n * m, 1)
     moving = np.any(A != 0, axis=(1, 2, 3))
-    room = float(room[0]) if length else np.tile(room, n)[moving]
-    yield Sites(A[moving], at[moving], float(np.max(limit)), scale, room)
+    left = float(room[0]) if length else np.tile(room, n)[moving]
+    yield Sites(A[moving], at[moving], float(np.max(limit)), scale, left)
 
 
 class _Rows(NamedTuple):

@@ -74,7 +74,7 @@ class Posterior:
         within = self.assembly.models[self.which].within
         if within is None or not self.bounded:
             return np.ones(len(X), dtype=bool)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(all="ignore"):  # where a path ends that diverged
             return within(self._robot(X))
 
     def slope(self, X: Array) -> tuple[Array, Array]:

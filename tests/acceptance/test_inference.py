@@ -191,7 +191,7 @@ def test_where_laplace_warns_sampling_shows_why_a_limit():
     assembly, optima, _ = smooth(0, density=Density(horizon=1.2, contact_sigma=np.inf))
     by_curvature = Laplace(limits="curvature").infer(assembly, 0, optima[0])
     assert by_curvature.warnings
-    drawn = Importance(draws=20_000, source="linear").infer(assembly, 0, optima[0])
+    drawn = Importance(draws=60_000, source="linear").infer(assembly, 0, optima[0])
     chains = HMC(draws=300, warmup=150).infer(assembly, 0, optima[0])
     error = np.hypot(drawn.log_evidence_error, chains.log_evidence_error)
     assert error < 0.1

@@ -26,25 +26,29 @@ from fgplan.solver import Solution
 from tests.scenes import assembled, forked, initial, random_scene, short, track
 
 
+@pytest.mark.parametrize("room", [np.inf, 0.06])
 @pytest.mark.parametrize(("excess", "sd", "scale"), [
     (-2.0, 1.0, 20.0), (0.0, 1.0, 20.0), (1.0, 0.3, 5.0), (4.0, 0.5, 40.0), (-9.0, 1.0, 1.0),
+    (0.5, 1.0, 20.0), (-0.02, 0.01, 20.0),
 ])  # fmt: skip
 def test_a_limit_on_a_number_has_the_moments_of_quadrature(
-    excess: float, sd: float, scale: float
+    excess: float, sd: float, scale: float, room: float
 ) -> None:
+    """With and without a bound a little beyond the place where the hinge begins."""
+
     def density(e: float) -> float:
         return float(norm.pdf(e, excess, sd) * np.exp(-0.5 * (scale * max(0.0, e)) ** 2))
 
     def moment(power: int, about: float = 0.0) -> float:
-        cuts = sorted({excess - 12 * sd, min(0.0, excess), 0.0, 8 / scale, excess + 12 * sd})
-        pieces = pairwise(cuts)
+        ends = {excess - 12 * sd, min(0.0, excess), 0.0, 8 / scale, excess + 12 * sd, room}
+        pieces = pairwise(sorted(end for end in ends if end <= min(room, 1e9)))
         return sum(
             quad(lambda e: density(e) * (e - about) ** power, a, b, epsabs=0)[0] for a, b in pieces
         )
 
     Z = moment(0)
     mean = moment(1) / Z
-    got = tilted_number(np.array([excess]), np.array([sd**2]), scale)
+    got = tilted_number(np.array([excess]), np.array([sd**2]), scale, room)
     assert got.log_z[0] == pytest.approx(np.log(Z), abs=1e-7)
     assert got.mean[0, 0] == pytest.approx(mean, abs=1e-6)
     assert got.covariance[0, 0, 0] == pytest.approx(moment(2, mean) / Z, rel=1e-5)
@@ -52,19 +56,23 @@ def test_a_limit_on_a_number_has_the_moments_of_quadrature(
 
 @pytest.mark.parametrize("where", [(0.0, 0.0), (0.9, 0.3), (0.3, -1.2), (2.0, 0.0)])
 @pytest.mark.parametrize("wide", [0.1, 0.6, 2.0])
-def test_a_limit_on_a_length_has_the_moments_of_a_fine_grid(where: Any, wide: float) -> None:
+@pytest.mark.parametrize("room", [np.inf, 0.06])
+def test_a_limit_on_a_length_has_the_moments_of_a_fine_grid(
+    where: Any, wide: float, room: float
+) -> None:
     limit, scale = 1.1, 20.0
     covariance = wide**2 * np.array([[1.0, 0.4], [0.4, 0.7]])
-    x = np.linspace(-1.5, 1.5, 1201)
+    x = np.linspace(-1.5, 1.5, 701)
     s = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
     d = s - where
     p = np.exp(-0.5 * np.einsum("...i,ij,...j->...", d, np.linalg.inv(covariance), d))
     p *= np.exp(-0.5 * (scale * np.maximum(np.linalg.norm(s, axis=-1) - limit, 0)) ** 2)
+    p *= np.linalg.norm(s, axis=-1) <= limit + room
     Z = p.sum()
     mean = np.einsum("xy,xyi->i", p, s) / Z
     e = s - mean
     spread = np.einsum("xy,xyi,xyj->ij", p, e, e) / Z
-    got = tilted_length(np.array([where]), covariance[None], limit, scale)
+    got = tilted_length(np.array([where]), covariance[None], limit, scale, room)
     area = (x[1] - x[0]) ** 2 / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
     assert got.log_z[0] == pytest.approx(np.log(Z * area), abs=5e-3, rel=2e-3)
     assert_allclose(got.mean[0], mean, atol=6e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,6 +22,7 @@ from fgplan import (
     Robot,
     Scenario,
     SecondOrder,
+    keys,
     plan,
 )
 from fgplan.assembly import Assembly
@@ -162,6 +164,81 @@ def test_inference_agrees_about_a_robot_that_turns() -> None:
         off = np.abs(result.mean - by_chains.mean)[moving] / spread[moving]
         size = min(result.diagnostics.ess or 0, by_chains.diagnostics.ess or 0)
         assert off.max() < 4 * np.sqrt(2 / size)
+
+
+SAMPLERS = [
+    Laplace(check=0),
+    Importance(draws=300),
+    Importance(draws=300, source="linear"),
+    EllipticalSlice(chains=3, draws=8, warmup=8, thin=1),
+    HMC(chains=3, draws=10, warmup=10, most_leaps=8),
+]
+
+
+def kept(robot: Robot, states: Any, dt: float) -> bool:
+    """Limits from the fields themselves, not by the model; states (..., S, dim)."""
+    model, slack = robot.model, 1.001e-3
+    change = np.diff(states, axis=-2) / dt
+    if isinstance(model, Holonomic):
+        speed, rate = (np.linalg.norm(x[..., 2:], axis=-1).max() for x in (states, change))
+        return bool(speed <= robot.max_speed + slack and rate <= robot.max_acceleration + slack)
+    v, w = states[..., 3], states[..., 4]
+    allowed = [
+        v.max() <= robot.max_speed + slack,
+        -v.min() <= model.max_reverse_speed + slack,
+        np.abs(change[..., 3]).max() <= robot.max_acceleration + slack,
+        np.abs(change[..., 4]).max() <= model.max_yaw_acceleration + slack,
+        np.abs(w).max() <= model.max_yaw_rate + slack if isinstance(model, DifferentialDrive)
+        else (model.min_turning_radius * np.abs(w) - np.abs(v)).max() <= slack,
+    ]  # fmt: skip
+    return all(allowed)
+
+
+@pytest.mark.parametrize("method", SAMPLERS, ids=lambda m: f"{m.name} {getattr(m, 'source', '')}")
+@pytest.mark.parametrize("model", MODELS, ids=["holonomic", "differential", "car", "reversing"])
+def test_no_sample_of_the_density_breaks_a_limit(model: Any, method: Any) -> None:
+    """Where the plan asks for all that the robot can do. Seen to fail with hinges alone: a fifth of
+    the weight was beyond a limit."""
+    robot = Robot(
+        np.zeros(2), np.array([0.2, 0.0]), 0.0, model=model, max_speed=0.7, preferred_speed=0.7
+    )
+    for seed in range(2):
+        scene = random_scene(seed, 2, crowd="predicted", density=Density(horizon=1.6))
+        mixture = plan(scene.replace(robot=robot), inference=method, seed=seed)
+        for component in mixture.components:
+            result = component.inferred
+            assert result is not None
+            assert not [w for w in result.warnings if "keeps the robot's limits" in w]
+            drawn = result.resampled(50)
+            for X in (result.states, drawn):
+                assert kept(robot, X[..., -model.dim :], 0.4)
+            assert method.name != "laplace" or len(np.unique(drawn[:, -1, 0])) > 40
+            for one in result.trajectories():
+                assert model.problems(robot, one) == []
+
+
+def test_where_no_optimum_keeps_a_limit_it_is_said() -> None:
+    """A goal state beyond what the robot can do in the time there is."""
+    robot = Robot(np.zeros(2), np.zeros(2), max_acceleration=0.3)
+    exact = gtsam.noiseModel.Isotropic.Sigma(4, 1e-3)
+    fast = gtsam.PriorFactorVector(keys.robot(2), np.array([0, 0, 1.0, 0]), exact)
+    scenario = forked(density=short()).replace(robot=robot)
+    for method in (Laplace(), Importance(draws=200), HMC(chains=4, draws=16, warmup=24)):
+        mixture = plan(scenario, factors=[fast], inference=method)
+        for component in mixture.components:
+            assert component.inferred is not None
+            assert any("keeps the robot's limits" in w for w in component.inferred.warnings)
+            assert not component.feasible
+
+
+def test_who_is_too_fast_now_may_slow_down_in_samples_too() -> None:
+    robot = Robot(np.zeros(2), np.array([1.5, 0.0]))
+    mixture = plan(forked(density=short()).replace(robot=robot), inference=Importance(300))
+    result = mixture.components[0].inferred
+    assert result is not None
+    assert len(result.states) > 10
+    speed = np.linalg.norm(result.states[..., 2:4], axis=-1)
+    assert np.all(speed <= np.maximum(1.2, np.minimum.accumulate(speed, axis=1)) + 2e-6)
 
 
 # The kinematic prior
