@@ -151,6 +151,19 @@ class Linear(Residual):
         blocks = tuple(np.broadcast_to(a, (*e.shape[:-1], *a.shape)) for a in self.A)
         return e, blocks
 
+    def gauss_newton(self, *x: Array) -> Expansion:
+        e, J = self.error(*x), self._J
+        curvature = np.broadcast_to(self._information, (*e.shape[:-1], *self._information.shape))
+        return Expansion(0.5 * np.einsum("...i,...i->...", e, e), e @ J, curvature)
+
+    @cached_property
+    def _J(self) -> Array:
+        return np.concatenate(self.A, axis=1)
+
+    @cached_property
+    def _information(self) -> Array:
+        return self._J.T @ self._J
+
     def at(self, step: int) -> Linear:
         return self if self.b.ndim == 1 else Linear(self.A, self.b[step], self.log_normalizer)
 

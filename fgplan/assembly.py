@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -21,7 +22,7 @@ from factors.pairwise import PredictedPairs, Together
 from factors.residual import Expansion, Linear, Residual
 from factors.unicycle import UnicycleMotion
 from fgplan import keys
-from fgplan.block_tridiagonal import BAND_LIMIT, Chains, System, solve_each
+from fgplan.block_tridiagonal import Chains, System, solve_each
 from fgplan.model import Model, Term
 from fgplan.shear import Shear
 
@@ -33,13 +34,26 @@ CHUNK = 65536
 """Numbers in the Hessian blocks that are laid out at once: they should stay in the cache."""
 
 
+class _Part(NamedTuple):
+    """Where one block of an expansion belongs in the band: steps of the rows, whether the columns
+    are of the next step, places in the band, places in the expansion, and which entries are on or
+    below the diagonal (None: all)."""
+
+    steps: slice
+    next: bool
+    into: tuple[slice, slice]
+    out_of: tuple[slice, slice]
+    mask: NDArray[np.bool_] | None
+
+
 @dataclass(frozen=True, eq=False)
 class _Wired:
     """A nonlinear term with the places of its variables in the state.
 
     `runs` are contiguous runs of the residual's support: (offset in time, slice of the state,
     slice of the expansion). A term that reaches further than the next time step is no part of
-    the chain: its curvature is kept apart, on the places `far` of the flattened state. `held` are
+    the chain: its curvature is kept apart, on the places `far` of the flattened state. `band` says
+    where its blocks are in the band of `Chains`. `held` are
     (which of the steps, mask (s, s)) where some of the support is known without error.
     """
 
@@ -48,6 +62,7 @@ class _Wired:
     first: slice
     runs: tuple[tuple[int, slice, slice], ...]
     far: Index | None = None
+    band: tuple[_Part, ...] = ()
     held: tuple[tuple[int, NDArray[np.bool_]], ...] = ()
 
     def variables(self, X: Array) -> list[Array]:
@@ -76,18 +91,13 @@ class _Wired:
                     upper[..., self.steps(at_row), into_rows, into_columns] += block
 
     def add_lower(self, part: Array, chains: Chains) -> None:
-        """The same, of the diagonal blocks only what is on and below the diagonal."""
-        for at_row, into_rows, rows in self.runs:
-            for at_column, into_columns, columns in self.runs:
-                if at_row > at_column:
-                    continue
-                block = part[..., rows, columns]
-                if at_row < at_column:
-                    chains.upper[:, self.steps(at_row), into_rows, into_columns] += block
-                elif into_rows.start >= into_columns.start:
-                    if into_rows == into_columns:
-                        block = np.where(_lower(block.shape[-1]), block, 0.0)
-                    chains.diagonal[:, self.steps(at_row), into_rows, into_columns] += block
+        """The same into the band, of the diagonal blocks only what is on and below the diagonal."""
+        for steps, off, (into_rows, into_columns), (rows, columns), mask in self.band:
+            block = part[..., rows, columns]
+            if mask is not None:
+                block = np.where(mask, block, 0.0)
+            blocks = chains.upper if off else chains.diagonal
+            blocks[:, steps, into_rows, into_columns] += block
 
 
 class Quadratic:
@@ -161,13 +171,16 @@ class Quadratic:
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Newton steps of some expansions, whose curvature is given."""
         which, gradient = self._which[rows], self.gradient[rows]
-        if self._assembly.chains is not None and not self._far:
-            chains = self._assembly.chains.take(self._assembly.row[which])
-            for wired, part in parts:
-                wired.add_lower(part, chains)
-            return chains.solve(-gradient)
         steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
-        for here in self._chunks(len(rows)):
+        if not self._far:
+            constant = self._assembly.chains
+            for here in _chunks(len(rows), constant.data[0].size):
+                chains = constant.take(self._assembly.row[which[here]])
+                for wired, part in parts:
+                    wired.add_lower(part[here], chains)
+                steps[here], definite[here] = chains.solve(-gradient[here])
+            return steps, definite
+        for here in _chunks(len(rows), gradient[0].size * gradient.shape[-1]):
             links = tuple((places, part[rows[here]]) for places, part in self._far)
             blocks = self._assembly.held_hessian(which[here])
             for wired, part in parts:
@@ -175,14 +188,9 @@ class Quadratic:
             steps[here], definite[here] = solve_each(*blocks, links, -gradient[here])
         return steps, definite
 
-    def _chunks(self, count: int) -> Iterator[slice]:
-        size = max(1, CHUNK // self._assembly.reference[0].size // self.gradient.shape[-1])
-        for at in range(0, count, size):
-            yield slice(at, at + size)
-
     def systems(self, rows: Index) -> Iterator[tuple[int, System]]:
         """Each of some rows with its Hessian, laid out a few at a time."""
-        for here in self._chunks(len(rows)):
+        for here in _chunks(len(rows), self.gradient[0].size * self.gradient.shape[-1]):
             chunk = rows[here]
             for b, diagonal, upper in zip(chunk.tolist(), *self.hessian(chunk), strict=True):
                 yield b, System(diagonal, upper, tuple((i, part[b]) for i, part in self._far))
@@ -214,7 +222,8 @@ class Assembly:
         curved = [term for term in first.shared if not isinstance(term.residual, Linear)]
         self.nonlinear = [_wire(term, first.columns) for term in _fused(curved)]
         self.nonlinear += [_wire_user(factor, first) for factor in first.extra]
-        self.nonlinear = [self._held(wired) for wired in self.nonlinear]
+        self._order = _interleaved(first)
+        self.nonlinear = [self._held(_banded(wired, self._order)) for wired in self.nonlinear]
         steps = np.flatnonzero(~self.free.all(axis=1)).tolist()
         self.held = [(k, np.flatnonzero(~self.free[k])) for k in steps]
         self._add_linear()
@@ -257,10 +266,19 @@ class Assembly:
         self._diagonal = np.zeros((self.row[-1] + 1, S, D, D))
         self._upper = np.zeros((self.row[-1] + 1, S - 1, D, D))
         self.gradient, self.constant = np.zeros((K, S, D)), np.zeros(K)
+        columns = self.models[0].columns
+        for term in self.models[0].shared:
+            if isinstance(term.residual, Linear):
+                wired = _wire(term, columns)
+                part = term.residual.gauss_newton(*wired.variables(self.reference))
+                self.constant += part.energy.sum(-1)
+                wired.add_gradient(part.gradient, self.gradient)
+                wired.add_hessian(part.hessian[:1], self._diagonal, self._upper)
         for i, model in enumerate(self.models):
             row = self.row[i]
-            for wired, residual in self.linear_terms(i):
-                part = residual.gauss_newton(*wired.variables(model.reference))
+            for term in model.own:
+                wired = _wire(term, columns)
+                part = term.residual.gauss_newton(*wired.variables(model.reference))
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:
@@ -270,8 +288,17 @@ class Assembly:
         ]
         self._held_diagonal, self._held_upper = self._diagonal.copy(), self._upper.copy()
         self.hold_fixed(self._held_diagonal, self._held_upper)
-        small = D <= BAND_LIMIT
-        self.chains = Chains.of(self._held_diagonal, self._held_upper) if small else None
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The constant Hessians in a band that has room for all that is not far."""
+        linked = (self._upper != 0).any(axis=(0, 1))
+        for wired in self.nonlinear:
+            for at_row, into_rows, _ in wired.runs:
+                for at_column, into_columns, _ in wired.runs:
+                    if wired.far is None and at_row < at_column:
+                        linked[into_rows, into_columns] = True
+        return Chains.of(self._held_diagonal, self._held_upper, self._order, linked)
 
     @cached_property
     def dimension(self) -> int:
@@ -398,6 +425,65 @@ def hold(free: NDArray[np.bool_], diagonal: Array, upper: Array) -> None:
             upper[:, k - 1, :, held] = 0
 
 
+def _chunks(count: int, size: int) -> Iterator[slice]:
+    """As many of `count` items of a size at once as `CHUNK` has room for."""
+    some = max(1, CHUNK // size)
+    for at in range(0, count, some):
+        yield slice(at, at + some)
+
+
+def _interleaved(model: Model) -> Index:
+    """Place of each coordinate in the band: each of the people's positions beside its velocity,
+    with which alone the prior links it in the next step."""
+    order = np.arange(model.reference.shape[1])
+    if "crowd" in model.columns:
+        crowd = model.columns["crowd"]
+        half = (crowd.stop - crowd.start) // 2
+        order[crowd] = crowd.start + np.arange(2 * half).reshape(half, 2).T.ravel()
+    return order
+
+
+def _banded(wired: _Wired, order: Index) -> _Wired:
+    """With the places of its blocks in the band."""
+    if wired.far is not None:
+        return wired
+    runs = []
+    for offset, columns, rows in wired.runs:
+        places = order[columns]
+        for a, b in _progressions(places.tolist()):
+            part = slice(rows.start + a, rows.start + b)
+            step = int(places[a + 1] - places[a]) if b - a > 1 else 1
+            runs.append((offset, slice(int(places[a]), int(places[b - 1]) + 1, step), part))
+    parts = []
+    for at_row, into_rows, rows in runs:
+        for at_column, into_columns, columns in runs:
+            if at_row > at_column:
+                continue
+            mask = None
+            if at_row == at_column:
+                i, j = (np.arange(s.start, s.stop, s.step) for s in (into_rows, into_columns))
+                mask = i[:, None] >= j
+                if not mask.any():
+                    continue
+            some = None if mask is None or mask.all() else mask
+            into, out_of = (into_rows, into_columns), (rows, columns)
+            steps = wired.steps(at_row)
+            parts.append(_Part(steps, at_row < at_column, into, out_of, some))
+    return replace(wired, band=tuple(parts))
+
+
+def _progressions(values: list[int]) -> Iterator[tuple[int, int]]:
+    """Ranges of indices in which values grow by equal steps."""
+    start = 0
+    while start < len(values):
+        end = start + 1
+        step = values[end] - values[start] if end < len(values) else 0
+        while step > 0 and end < len(values) and values[end] - values[end - 1] == step:
+            end += 1
+        yield start, end
+        start = end
+
+
 def _fused(terms: Sequence[Term]) -> Iterator[Term]:
     """The terms, those between the robot and the same held people as one: where people are is
     then looked at once."""
@@ -425,11 +511,6 @@ def _same_curvature(a: Model, b: Model) -> bool:
         )
         for one, other in zip(a.own, b.own, strict=True)
     )
-
-
-@lru_cache(maxsize=64)
-def _lower(size: int) -> NDArray[np.bool_]:
-    return np.tri(size, dtype=bool)
 
 
 def _sparse(diagonal: Array, upper: Array) -> csr_array:

@@ -1,7 +1,8 @@
 """Symmetric positive definite block-tridiagonal systems: a chain of time steps.
 
-Small blocks go to LAPACK's banded Cholesky in one call, larger ones block by block: a band as
-wide as two blocks would spend half its work on zeros.
+Small blocks go to LAPACK's banded Cholesky in one call, and so do those of many starts; larger
+ones go block by block where nothing is known of them: a band as wide as two blocks would spend
+half its work on zeros.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Links = tuple[tuple[NDArray[np.intp], Array], ...]
 
 BAND_LIMIT = 12
@@ -204,47 +206,67 @@ def _factorize_blocks(diagonal: Array, upper: Array) -> Factor | None:
 
 
 class Chains:
-    """B chains of small blocks, one after the other in LAPACK's lower band, with no link between.
+    """B chains of blocks, one after the other in LAPACK's lower band, with no link between.
 
-    Entry (a, b) of block (k, k) is at row a − b of column kD + b, and entry (a, b) of block
+    The band is as narrow as the order of the coordinates within a step allows: where a coordinate
+    is linked to few of the next step, and those are near it in that order, hardly wider than one
+    block. Entry (a, b) of block (k, k) is at row a − b of column kD + b, and entry (a, b) of block
     (k, k + 1), transposed, at row D + b − a of column kD + a: in memory, both are at a distance
     that is linear in k, a and b, so that blocks are views of the band.
 
     Args:
-        data: Columns of the band, shape (B, S·D, 2D), contiguous.
-        D: Size of a block.
+        data: Columns of the band, shape (B, S·D, W), contiguous.
+        order: Place of each coordinate within a step, shape (D,).
 
     Attributes:
-        diagonal: Blocks (k, k), shape (B, S, D, D): only what is on and below the diagonal may be
-            written, the rest shares its memory with other entries.
-        upper: Blocks (k, k + 1), shape (B, S − 1, D, D).
+        diagonal: Blocks (k, k) in that order, shape (B, S, D, D): only what is on and below the
+            diagonal may be written, the rest shares its memory with other entries.
+        upper: Blocks (k, k + 1), shape (B, S − 1, D, D): only what the band is wide enough for.
     """
 
-    def __init__(self, data: Array, D: int) -> None:
-        self.data = data
-        B, size, _ = data.shape
+    def __init__(self, data: Array, order: Index) -> None:
+        self.data, self.order = data, order
+        (B, size, width), D = data.shape, len(order)
         S, item = size // D, data.itemsize
-        chain, step, across = data.strides[0], 2 * D * D * item, (2 * D - 1) * item
+        chain, step, across = data.strides[0], width * D * item, (width - 1) * item
         self.diagonal = np.ndarray((B, S, D, D), float, data, 0, (chain, step, item, across))
         shape, offset = (B, S - 1, D, D), D * item if S > 1 else 0
         self.upper = np.ndarray(shape, float, data, offset, (chain, step, across, item))
 
     @classmethod
-    def of(cls, diagonal: Array, upper: Array) -> Chains:
-        """From blocks (B, S, D, D) and (B, S − 1, D, D)."""
+    def of(
+        cls,
+        diagonal: Array,
+        upper: Array,
+        order: Index | None = None,
+        linked: NDArray[np.bool_] | None = None,
+    ) -> Chains:
+        """From blocks (B, S, D, D) and (B, S − 1, D, D).
+
+        Args:
+            diagonal, upper: As in `System`.
+            order: Place of each coordinate within a step, shape (D,); as they come by default.
+            linked: Which coordinates may be linked to which of the next step, shape (D, D), now or
+                by what is added later; all by default.
+        """
         B, S, D, _ = diagonal.shape
-        chains = cls(np.zeros((B, S * D, 2 * D)), D)
-        # What is above the diagonal is written as zero, some of it where `upper` writes anew.
-        chains.diagonal[...] = np.tril(diagonal)
-        chains.upper[...] = upper
+        place = np.arange(D) if order is None else order
+        every = np.ones((D, D), dtype=bool) if linked is None else linked
+        a, b = np.nonzero(every)
+        reach = int((D + place[b] - place[a]).max(initial=D))
+        chains = cls(np.zeros((B, S * D, 1 + reach)), place)
+        chains.upper[..., place[a], place[b]] = upper[..., a, b]
+        at = np.argsort(place)
+        a, b = np.tril_indices(D)
+        chains.diagonal[..., a, b] = diagonal[..., at[a], at[b]]
         return chains
 
     def take(self, rows: NDArray[np.intp]) -> Chains:
         """Copies of some of the chains."""
-        return Chains(self.data[rows], self.upper.shape[-1])
+        return Chains(self.data[rows], self.order)
 
     def factorize(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Cholesky factors, in place, in the form `_Band` takes (2D, B·S·D), and which chains are
+        """Cholesky factors, in place, in the form `_Band` takes (W, B·S·D), and which chains are
         positive definite (B,); the others' factors are the identity."""
         B, size, width = self.data.shape
         band = self.data.reshape(B * size, width).T
@@ -272,8 +294,8 @@ class Chains:
         """x_b with H_b x_b = rhs_b, shape (B, S, D), zero where H_b is not positive definite, and
         where it is (B,). The band is overwritten."""
         band, definite = self.factorize()
-        x, _ = lapack.dpbtrs(band, rhs.reshape(-1), lower=1)
-        x = np.asarray(x).reshape(rhs.shape)
+        x, _ = lapack.dpbtrs(band, rhs[..., np.argsort(self.order)].reshape(-1), lower=1)
+        x = np.asarray(x).reshape(rhs.shape)[..., self.order]
         if not definite.all():
             x[~definite] = 0.0
         return x, definite
