@@ -6,7 +6,7 @@ prior of a whole trajectory is a product over neighbours.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -64,6 +64,13 @@ class GPPrior(Linear):
         )
         Lambda_t = transition(tau, 1) - Psi_t @ transition(self.dt, 1)
         return kron(Lambda_t, np.eye(m)), kron(Psi_t, np.eye(m))
+
+
+@lru_cache(maxsize=256)
+def isotropic_prior(dt: float, q: float, m: int) -> GPPrior:
+    """The WNOA prior of m independent coordinates of one power spectral density q [m²/s³], kept:
+    a planner asks for the same one many times a second."""
+    return GPPrior(dt, q * np.eye(m))
 
 
 def matern_prior(mean: Array, dt: float, sigma: float, length: float) -> Linear:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -61,8 +61,8 @@ class _Wired:
     slots: tuple[tuple[slice, slice], ...]
     first: slice
     runs: tuple[tuple[int, slice, slice], ...]
-    far: Index | None = None
     band: tuple[_Part, ...] = ()
+    far: Index | None = None
     held: tuple[tuple[int, NDArray[np.bool_]], ...] = ()
 
     def variables(self, X: Array) -> list[Array]:
@@ -219,36 +219,41 @@ class Assembly:
         self.free = np.ones((S, D), dtype=bool)
         for name, k in first.fixed:
             self.free[k, first.columns[name]] = False
+        self.order = _interleaved(first)
         curved = [term for term in first.shared if not isinstance(term.residual, Linear)]
-        self.nonlinear = [_wire(term, first.columns) for term in _fused(curved)]
-        self.nonlinear += [_wire_user(factor, first) for factor in first.extra]
-        self._order = _interleaved(first)
-        self.nonlinear = [self._held(_banded(wired, self._order)) for wired in self.nonlinear]
-        steps = np.flatnonzero(~self.free.all(axis=1)).tolist()
-        self.held = [(k, np.flatnonzero(~self.free[k])) for k in steps]
+        self.nonlinear = [_wire(term, first.columns, self.order) for term in _fused(curved)]
+        self.nonlinear += [_wire_user(factor, first, self.order) for factor in first.extra]
+        self._known = np.flatnonzero(~self.free.all(axis=1)).tolist()
+        self.nonlinear = [self._held(wired) for wired in self.nonlinear]
+        self.held = [(k, np.flatnonzero(~self.free[k])) for k in self._known]
         self._add_linear()
 
     def _held(self, wired: _Wired) -> _Wired:
         """With masks for what is known without error, so that it has no curvature."""
-        places = [] if wired.far is not None else list(wired.runs)
-        held = []
-        for at in range(wired.first.stop - wired.first.start):
-            k = wired.first.start + at
+        first, held = wired.first, []
+        steps = range(first.start, first.stop, first.step or 1)
+        if wired.far is None:
+            touched = {k - o for k in self._known for o, _, _ in wired.runs}
+        else:
+            touched = set(steps)
+        for at, k in enumerate(steps):
+            if k not in touched:
+                continue
             if wired.far is not None:
                 free = self.free.reshape(-1)[wired.far]
             else:
-                free = np.concatenate([self.free[k + o, columns] for o, columns, _ in places])
+                free = np.concatenate([self.free[k + o, columns] for o, columns, _ in wired.runs])
             if not free.all():
                 held.append((at, np.outer(free, free)))
-        return replace(wired, held=tuple(held))
+        return replace(wired, held=tuple(held)) if held else wired
 
     def wired(self, which: int) -> Iterator[tuple[_Wired, Term]]:
         """All terms of one hypothesis with their places in the state, then the user's factors."""
         model = self.models[which]
         for term in model.terms:
-            yield _wire(term, model.columns), term
+            yield _wire(term, model.columns, self.order), term
         for factor in model.extra:
-            wired = _wire_user(factor, model)
+            wired = _wire_user(factor, model, self.order)
             yield wired, Term("yours", wired.residual, (), range(1))
 
     def linear_terms(self, which: int) -> Iterator[tuple[_Wired, Linear]]:
@@ -269,7 +274,7 @@ class Assembly:
         columns = self.models[0].columns
         for term in self.models[0].shared:
             if isinstance(term.residual, Linear):
-                wired = _wire(term, columns)
+                wired = _wire(term, columns, self.order)
                 part = term.residual.gauss_newton(*wired.variables(self.reference))
                 self.constant += part.energy.sum(-1)
                 wired.add_gradient(part.gradient, self.gradient)
@@ -277,7 +282,7 @@ class Assembly:
         for i, model in enumerate(self.models):
             row = self.row[i]
             for term in model.own:
-                wired = _wire(term, columns)
+                wired = _wire(term, columns, self.order)
                 part = term.residual.gauss_newton(*wired.variables(model.reference))
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
@@ -298,7 +303,7 @@ class Assembly:
                 for at_column, into_columns, _ in wired.runs:
                     if wired.far is None and at_row < at_column:
                         linked[into_rows, into_columns] = True
-        return Chains.of(self._held_diagonal, self._held_upper, self._order, linked)
+        return Chains.of(self._held_diagonal, self._held_upper, self.order, linked)
 
     @cached_property
     def dimension(self) -> int:
@@ -443,35 +448,6 @@ def _interleaved(model: Model) -> Index:
     return order
 
 
-def _banded(wired: _Wired, order: Index) -> _Wired:
-    """With the places of its blocks in the band."""
-    if wired.far is not None:
-        return wired
-    runs = []
-    for offset, columns, rows in wired.runs:
-        places = order[columns]
-        for a, b in _progressions(places.tolist()):
-            part = slice(rows.start + a, rows.start + b)
-            step = int(places[a + 1] - places[a]) if b - a > 1 else 1
-            runs.append((offset, slice(int(places[a]), int(places[b - 1]) + 1, step), part))
-    parts = []
-    for at_row, into_rows, rows in runs:
-        for at_column, into_columns, columns in runs:
-            if at_row > at_column:
-                continue
-            mask = None
-            if at_row == at_column:
-                i, j = (np.arange(s.start, s.stop, s.step) for s in (into_rows, into_columns))
-                mask = i[:, None] >= j
-                if not mask.any():
-                    continue
-            some = None if mask is None or mask.all() else mask
-            into, out_of = (into_rows, into_columns), (rows, columns)
-            steps = wired.steps(at_row)
-            parts.append(_Part(steps, at_row < at_column, into, out_of, some))
-    return replace(wired, band=tuple(parts))
-
-
 def _progressions(values: list[int]) -> Iterator[tuple[int, int]]:
     """Ranges of indices in which values grow by equal steps."""
     start = 0
@@ -516,42 +492,90 @@ def _same_curvature(a: Model, b: Model) -> bool:
 def _sparse(diagonal: Array, upper: Array) -> csr_array:
     """A chain, of which most blocks are nearly empty, as a sparse matrix."""
     S, D, _ = diagonal.shape
-    k, a, b = np.nonzero(diagonal)
-    rows, columns, values = [k * D + a], [k * D + b], [diagonal[k, a, b]]
-    k, a, b = np.nonzero(upper)
-    rows += [k * D + a, k * D + D + b]
-    columns += [k * D + D + b, k * D + a]
-    values += 2 * [upper[k, a, b]]
-    place = (np.concatenate(rows), np.concatenate(columns))
-    return csr_array((np.concatenate(values), place), shape=(S * D, S * D))
+    first = D * np.arange(S)[:, None]
+    a, b = np.nonzero(diagonal.any(axis=0))
+    rows, columns, values = [first + a], [first + b], [diagonal[:, a, b]]
+    a, b = np.nonzero(upper.any(axis=0))
+    here, there = first[:-1] + a, first[1:] + b
+    rows, columns = [*rows, here, there], [*columns, there, here]
+    values += 2 * [upper[:, a, b]]
+    data, row, column = (
+        np.concatenate([part.ravel() for part in parts]) for parts in (values, rows, columns)
+    )
+    return csr_array((data, (row, column)), shape=(S * D, S * D))
 
 
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...sd,...sd->...", a, b))
 
 
-def _wire(term: Term, columns: dict[str, slice]) -> _Wired:
+def _wire(term: Term, columns: dict[str, slice], order: Index) -> _Wired:
     first = slice(term.steps.start, term.steps.stop, term.steps.step)
     slots = tuple((_moved(first, offset), columns[name]) for name, offset in term.variables)
     places = [(offset, columns[name]) for name, offset in term.variables]
-    return _Wired(term.residual, slots, first, _runs(places, term.residual.support))
+    return _wired(term.residual, slots, first, places, order)
+
+
+def _wired(
+    residual: Residual,
+    slots: tuple[tuple[slice, slice], ...],
+    first: slice,
+    places: Sequence[tuple[int, slice]],
+    order: Index,
+) -> _Wired:
+    """With variables at (offset in time, slice of the state)."""
+    runs, blocks = _layout(
+        tuple((offset, c.start, c.stop) for offset, c in places),
+        residual.support.tobytes(),
+        order.tobytes(),
+    )
+    band = tuple(_Part(_moved(first, offset), *block) for offset, *block in blocks)
+    return _Wired(residual, slots, first, runs, band=band)
 
 
 def _moved(steps: slice, offset: int) -> slice:
     return slice(steps.start + offset, steps.stop + offset, steps.step)
 
 
-def _runs(
-    places: Sequence[tuple[int, slice]], support: Index
-) -> tuple[tuple[int, slice, slice], ...]:
-    """Contiguous runs of the support of variables at (offset in time, slice of the state)."""
-    column = np.concatenate([np.arange(c.start, c.stop) for _, c in places])[support]
-    offset = np.concatenate([np.full(c.stop - c.start, o) for o, c in places])[support]
+_Run = tuple[int, slice, slice]
+
+
+@lru_cache(maxsize=1024)
+def _layout(
+    places: tuple[tuple[int, int, int], ...], support: bytes, order: bytes
+) -> tuple[tuple[_Run, ...], tuple[tuple[Any, ...], ...]]:
+    """Contiguous runs of the support of variables at (offset in time, start, stop) of the state,
+    and where the blocks of an expansion are in a band of that order: a `_Part`, with the offset
+    in time for the steps."""
+    used = np.frombuffer(support, dtype=np.intp)
+    column = np.concatenate([np.arange(a, b) for _, a, b in places])[used]
+    offset = np.concatenate([np.full(b - a, o) for o, a, b in places])[used]
     breaks = np.flatnonzero((np.diff(column) != 1) | (np.diff(offset) != 0)) + 1
-    return tuple(
+    runs = tuple(
         (int(offset[a]), slice(int(column[a]), int(column[b - 1]) + 1), slice(a, b))
         for a, b in pairwise([0, *breaks.tolist(), len(column)])
     )
+    split: list[_Run] = []
+    for at, columns, rows in runs:
+        where = np.frombuffer(order, dtype=np.intp)[columns]
+        for a, b in _progressions(where.tolist()):
+            step = int(where[a + 1] - where[a]) if b - a > 1 else 1
+            into = slice(int(where[a]), int(where[b - 1]) + 1, step)
+            split.append((at, into, slice(rows.start + a, rows.start + b)))
+    blocks: list[tuple[Any, ...]] = []
+    for at_row, into_rows, rows in split:
+        for at_column, into_columns, columns in split:
+            if at_row > at_column:
+                continue
+            below = np.ones((1, 1), dtype=bool)
+            if at_row == at_column:
+                i, j = (np.arange(s.start, s.stop, s.step) for s in (into_rows, into_columns))
+                below = i[:, None] >= j
+            if below.any():
+                mask = None if below.all() else below
+                into, out_of = (into_rows, into_columns), (rows, columns)
+                blocks.append((at_row, at_row < at_column, into, out_of, mask))
+    return runs, tuple(blocks)
 
 
 class _UserFactor(Residual):
@@ -598,7 +622,7 @@ class _UserFactor(Residual):
         return np.asarray(linear.augmentedInformation())
 
 
-def _wire_user(factor: gtsam.NonlinearFactor, model: Model) -> _Wired:
+def _wire_user(factor: gtsam.NonlinearFactor, model: Model, order: Index) -> _Wired:
     place = {key: (k, model.columns[name]) for (name, k), key in model.keys.items()}
     unknown = [keys.name(key) for key in factor.keys() if key not in place]
     if unknown:
@@ -611,9 +635,10 @@ def _wire_user(factor: gtsam.NonlinearFactor, model: Model) -> _Wired:
     start = min(steps)
     slots = tuple((slice(k, k + 1), columns) for k, columns in places)
     dims = tuple(columns.stop - columns.start for _, columns in places)
-    runs = _runs([(k - start, c) for k, c in places], np.arange(sum(dims)))
-    far = None
+    first, offsets = slice(start, start + 1), [(k - start, c) for k, c in places]
+    wired = _wired(_UserFactor(factor, dims), slots, first, offsets, order)
     if max(steps) - start > 1:
         D = model.reference.shape[1]
         far = np.concatenate([k * D + np.arange(c.start, c.stop) for k, c in places])
-    return _Wired(_UserFactor(factor, dims), slots, slice(start, start + 1), runs, far)
+        return replace(wired, band=(), far=far)
+    return wired

@@ -83,7 +83,7 @@ class Solving:
     def people(self, solution: Solution) -> People:
         """Where people are planned, and predicted where they are not variables."""
         model, times = self.model, self.model.times
-        states = self.belief.predict(times)[0]
+        states = self.belief.expected(times)
         if "crowd" in model.columns and model.gate is not None:
             n = len(model.people)
             flat = solution.state[:, model.columns["crowd"]].reshape(len(times), 2, n, 2)

@@ -65,16 +65,29 @@ class Belief:
         Raises:
             ValueError: a time is negative.
         """
+        means = self.expected(times)
+        t = np.asarray(times, dtype=float)[:, None, None, None]
+        P, q = self.covariance, self.Qc * np.eye(2)
+        covariance = np.empty((len(t), *P.shape))
+        cross = P[:, :2, 2:] + t * P[:, 2:, 2:]
+        covariance[..., :2, :2] = P[:, :2, :2] + t * (P[:, 2:, :2] + cross) + t**3 / 3 * q
+        covariance[..., :2, 2:] = cross + t**2 / 2 * q
+        covariance[..., 2:, :2] = np.swapaxes(covariance[..., :2, 2:], -1, -2)
+        covariance[..., 2:, 2:] = P[:, 2:, 2:] + t * q
+        return means, covariance
+
+    def expected(self, times: Array) -> Array:
+        """The means of `predict` alone, shape (S, n, 4).
+
+        Raises:
+            ValueError: a time is negative.
+        """
         t = np.asarray(times, dtype=float)
-        if np.any(t < 0):
+        if t.min(initial=0.0) < 0:
             raise ValueError(f"times must not be negative: the belief is of now, got {t.min()} s")
-        eye = np.eye(2)
-        ahead = np.stack([np.ones_like(t), t, np.zeros_like(t), np.ones_like(t)], -1)
-        Phi = _kron(ahead.reshape(-1, 2, 2), eye)[:, None]
-        noise = self.Qc * np.stack([t**3 / 3, t**2 / 2, t**2 / 2, t], -1)
-        Q = _kron(noise.reshape(-1, 2, 2), eye)[:, None]
-        means = (Phi @ self.mean[..., None])[..., 0]
-        return means, Phi @ self.covariance @ np.swapaxes(Phi, -1, -2) + Q
+        means = np.repeat(self.mean[None], len(t), axis=0)
+        means[..., :2] += t[:, None, None] * self.mean[:, 2:]
+        return means
 
 
 def believe(

@@ -54,7 +54,7 @@ def gate(scenario: Scenario, belief: Belief, hypotheses: Sequence[Hypothesis]) -
     no_pairs = np.zeros((0, 2), dtype=np.intp)
     if scenario.crowd == "predicted" or n == 0:
         return Gate(nobody, np.arange(n), no_pairs, no_pairs)
-    people = belief.predict(scenario.density.times)[0][..., :2]
+    people = belief.expected(scenario.density.times)[..., :2]
     within = _within_reach(scenario, people, hypotheses)
     planned, held = np.flatnonzero(within), np.flatnonzero(~within)
     robot = np.column_stack([np.zeros_like(planned), 1 + np.arange(len(planned))])

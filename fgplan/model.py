@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from factors.contact import Contact
 from factors.coupling import coupling, coupling_to
 from factors.flat import velocity_of_positions
-from factors.gp_prior import GPPrior, gaussian, matern_first, matern_prior
+from factors.gp_prior import GPPrior, gaussian, isotropic_prior, matern_first, matern_prior
 from factors.interaction import Interaction
 from factors.obstacle import InterpolatedObstacle, Obstacle
 from factors.pairwise import CrowdPairs, PredictedPairs
@@ -303,7 +303,7 @@ def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
     for rows, block in zip(index, belief.covariance, strict=True):
         covariance[np.ix_(rows, rows)] = block
     yield Term("crowd now", gaussian(mean, covariance), (("crowd", 0),), range(1))
-    prior = GPPrior(d.dt, belief.Qc * np.eye(2 * n))
+    prior = isotropic_prior(d.dt, belief.Qc, 2 * n)
     yield Term("crowd prior", prior, (("crowd", 0), ("crowd", 1)), range(d.steps))
 
 
@@ -465,6 +465,6 @@ def _states(hypothesis: Hypothesis, level: Level) -> Array:
 
 def _expected_crowd(belief: Belief, times: Array) -> Array:
     """The people's prediction as crowd states, shape (T + 1, 4n)."""
-    mean, _ = belief.predict(times)
+    mean = belief.expected(times)
     flat = mean.reshape(len(times), belief.count, 2, 2)
     return np.asarray(np.swapaxes(flat, 1, 2).reshape(len(times), -1))

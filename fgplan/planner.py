@@ -181,7 +181,7 @@ def _decide(
     else:
         selected = None
         predicted = People(
-            scenario.density.times, belief.predict(scenario.density.times)[0], belief.radii
+            scenario.density.times, belief.expected(scenario.density.times), belief.radii
         )
         trajectory, result = brake(scenario, predicted)
         why = "; ".join(f"{c.label}: {', '.join(c.check.problems)}" for c in components)

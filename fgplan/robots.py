@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.gp_prior import GPPrior, transition
+from factors.gp_prior import isotropic_prior, transition
 from factors.kinematics import AccelerationLimit, SpeedLimit
 from factors.residual import Residual
 from fgplan.trajectory import Trajectory
@@ -202,7 +202,7 @@ class Holonomic:
         return robot.state
 
     def prior(self, density: Density) -> Iterable[Piece]:
-        prior = GPPrior(density.dt, density.Qc_robot * np.eye(2))
+        prior = isotropic_prior(density.dt, density.Qc_robot, 2)
         yield Piece("robot prior", prior, (0, 1))
 
     def limits(self, robot: Robot, density: Density) -> Iterable[Piece]:

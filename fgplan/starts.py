@@ -66,7 +66,7 @@ def _creep(scenario: Scenario, path: Array) -> Trajectory:
 
 def _sides(scenario: Scenario, belief: Belief, plan: Trajectory) -> Iterable[Start]:
     """Left and right of the first people whom the plan would run into."""
-    people = belief.predict(plan.times)[0][..., :2]
+    people = belief.expected(plan.times)[..., :2]
     distance = np.linalg.norm(people - plan.positions[:, None], axis=-1)
     reach = scenario.robot.radius + belief.radii + scenario.density.contact_margin
     when = distance.argmin(axis=0)
@@ -82,7 +82,7 @@ def _sides(scenario: Scenario, belief: Belief, plan: Trajectory) -> Iterable[Sta
 
 def _arcs(scenario: Scenario, belief: Belief, plan: Trajectory) -> Iterable[Start]:
     """Wide lateral arcs, when many people are about."""
-    people = belief.predict(plan.times)[0][..., :2]
+    people = belief.expected(plan.times)[..., :2]
     distance = np.linalg.norm(people - plan.positions[:, None], axis=-1)
     if np.count_nonzero(distance.min(axis=0) < max(ARCS)) < CROWDED:
         return

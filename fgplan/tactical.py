@@ -279,7 +279,7 @@ def _predicted(name: str | None, belief: Belief, times: Array) -> Trajectory | N
     """Somebody's prediction; None for who is not known, or stands: they have no direction."""
     if name is None or name not in belief.names:
         return None
-    states = belief.predict(times)[0][:, belief.names.index(name)]
+    states = belief.expected(times)[:, belief.names.index(name)]
     if np.linalg.norm(states[:, 2:], axis=1).min() < SLOWEST:
         return None
     return Trajectory.from_states(times, states)
