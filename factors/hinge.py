@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -34,7 +35,9 @@ class Hinge:
 
     def error(self, d: Array) -> Array:
         """e, the shape of d."""
-        return np.asarray(np.maximum(0.0, self._slope * (d - self.threshold)))
+        e = d - self.threshold
+        e *= self._slope
+        return np.asarray(np.maximum(e, 0.0))
 
     def linearize(self, d: Array, gradient: Array) -> tuple[Array, Array]:
         """e (...) and de/dp (..., m), from d (...) and its gradient (..., m)."""
@@ -57,20 +60,31 @@ class Hinge:
 
     def energy_of(self, d2: Array) -> Array:
         """½e² of a length √(d2 + TINY²), shape (...)."""
-        e = self.error(np.sqrt(d2 + TINY**2))
-        return np.asarray(0.5 * e * e)
+        d = d2 + TINY**2
+        e = self.error(np.sqrt(d, out=d))
+        e *= e
+        e *= 0.5
+        return e
 
     def radial(self, d2: Array) -> Radial:
         """½e² of a length d = √(d2 + TINY²), with its true curvature, as an energy of d2 (...)."""
-        d2 = d2 + TINY**2
-        d = np.sqrt(d2)
-        excess = self._slope * (d - self.threshold)
-        e = np.maximum(excess, 0.0)
-        slope = e * self._slope / d
-        second = np.where(excess >= 0, self.scale**2, 0.0)
-        return Radial(0.5 * e * e, slope, slope, (second - slope) / d2)
+        inverse = d2 + TINY**2
+        d = np.sqrt(inverse)
+        np.divide(1.0, d, out=inverse)
+        e = np.asarray(d - self.threshold)
+        e *= self._slope
+        second = np.where(e >= 0, self.scale**2, 0.0)
+        np.maximum(e, 0.0, out=e)
+        slope = e * inverse
+        slope *= self._slope
+        second -= slope
+        second *= inverse
+        second *= inverse
+        e *= e
+        e *= 0.5
+        return Radial(e, slope, slope, second)
 
-    @property
+    @cached_property
     def _slope(self) -> float:
         return self.scale if self.side == "above" else -self.scale
 

@@ -63,13 +63,15 @@ class Interaction(PairPotential):
         return -0.5 / self._s2
 
     @cached_property
+    def _b_scale(self) -> Array:
+        return np.asarray(-1.0 / self._s2)
+
+    @cached_property
     def _slope_scale(self) -> Array:
         return -self.weight / self._s2
 
     def energy(self, d2: Array) -> Array:
-        u = self._presence(d2)
-        with np.errstate(divide="ignore"):  # alpha = 1 at contact: energy inf, as it should be
-            return np.asarray(-self.weight * np.log1p(-u))
+        return self._energy(self._presence(d2))
 
     def linearize(self, d2: Array) -> tuple[Array, Array]:
         u = self._presence(d2)
@@ -85,15 +87,31 @@ class Interaction(PairPotential):
 
     def expand(self, d2: Array) -> Radial:
         u = self._presence(d2)
-        rest = np.maximum(1 - u, _TINY)
-        slope = (u / rest) * self._slope_scale
-        with np.errstate(divide="ignore"):
-            energy = -self.weight * np.log1p(-u)
-        return Radial(energy, slope, slope, slope / (rest * -self._s2))
+        energy = self._energy(u)
+        rest = 1 - u
+        if self.alpha > 1 - _TINY:
+            np.maximum(rest, _TINY, out=rest)
+        np.divide(1.0, rest, out=rest)
+        u *= rest
+        slope = u * self._slope_scale
+        rest *= slope
+        rest *= self._b_scale
+        return Radial(energy, slope, slope, rest)
+
+    def _energy(self, u: Array) -> Array:
+        if self.alpha > 1 - _TINY:  # at contact: energy inf, as it should be
+            with np.errstate(divide="ignore"):
+                return np.asarray(-self.weight * np.log1p(-u))
+        energy = np.log1p(np.negative(u))
+        energy *= -self.weight
+        return np.asarray(energy)
 
     def _presence(self, d2: Array) -> Array:
         """u = alpha exp(−d²/(2 s²)), between 0 and alpha."""
-        return np.asarray(self.alpha * np.exp(self._exponent * d2))
+        u = np.multiply(self._exponent, d2)
+        u = np.exp(u, out=u) if u.ndim else np.exp(u)
+        u *= self.alpha
+        return np.asarray(u)
 
 
 _TINY = 1e-16

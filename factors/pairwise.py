@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from factors.radial import Radial, square
 from factors.residual import Array, Expansion, Residual
 
+_SUM = "...p,...p->..."
+"""Sum over pairs of a product."""
+
 
 class PairPotential(ABC):
     """An energy of the squared distance d2 of two bodies, shape (..., P) for P pairs."""
@@ -245,17 +248,16 @@ class PredictedPairs(Residual):
 
     def _total(self, delta: list[Array], pair: Radial) -> Expansion:
         """The sum over people, as an expansion in the robot's position."""
-        shape, d, people = pair.energy.shape[:-1], self._space, np.ones(self.rows)
+        shape, d = pair.energy.shape[:-1], self._space
         gradient, H = np.empty((*shape, d)), np.empty((*shape, d, d))
+        a = np.add.reduce(pair.a + np.zeros(self.rows), axis=-1)
         for r in range(d):
-            gradient[..., r] = (pair.slope * delta[r]) @ people
+            np.einsum(_SUM, pair.slope, delta[r], out=gradient[..., r])
             weighted = pair.b * delta[r]
             for c in range(r):
-                H[..., r, c] = H[..., c, r] = (weighted * delta[c]) @ people
-            weighted *= delta[r]
-            weighted += pair.a
-            H[..., r, r] = weighted @ people
-        return Expansion(pair.energy @ people, gradient, H)
+                H[..., r, c] = H[..., c, r] = np.einsum(_SUM, weighted, delta[c])
+            np.add(np.einsum(_SUM, weighted, delta[r]), a, out=H[..., r, r])
+        return Expansion(np.add.reduce(pair.energy, axis=-1), gradient, H)
 
 
 def pair_index(n: int, pairs: Literal["all", "robot"]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

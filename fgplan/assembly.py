@@ -54,7 +54,8 @@ class _Wired:
     slice of the expansion). A term that reaches further than the next time step is no part of
     the chain: its curvature is kept apart, on the places `far` of the flattened state. `band` says
     where its blocks are in the band of `Chains`. `held` are
-    (which of the steps, mask (s, s)) where some of the support is known without error.
+    (which of the steps, mask (s, s)) where some of the support is known without error, None where
+    all of it is.
     """
 
     residual: Residual
@@ -63,7 +64,7 @@ class _Wired:
     runs: tuple[tuple[int, slice, slice], ...]
     band: tuple[_Part, ...] = ()
     far: Index | None = None
-    held: tuple[tuple[int, NDArray[np.bool_]], ...] = ()
+    held: tuple[tuple[int, NDArray[np.bool_] | None], ...] = ()
 
     def variables(self, X: Array) -> list[Array]:
         return [X[..., steps, columns] for steps, columns in self.slots]
@@ -74,7 +75,7 @@ class _Wired:
     def hold(self, part: Array) -> None:
         """No curvature where the state is known without error."""
         for at, mask in self.held:
-            part[:, at] = np.where(mask, part[:, at], 0.0)  # not inf·0
+            part[:, at] = 0.0 if mask is None else np.where(mask, part[:, at], 0.0)  # not inf·0
 
     def add_gradient(self, part: Array, gradient: Array) -> None:
         for offset, columns, rows in self.runs:
@@ -154,12 +155,14 @@ class Quadratic:
         return self._solve(np.arange(len(self.energy)), self._parts)
 
     def flattened(self, rows: Index) -> tuple[Array, NDArray[np.bool_]]:
-        """The same of some of them with Gauss–Newton Hessians, shape (R, S, D) and (R,): only what
-        may curve downwards is evaluated again."""
+        """The same of some of them without what curves downwards, shape (R, S, D) and (R,): small
+        blocks lose their negative eigenvalues, larger ones are Gauss–Newton's."""
         parts = []
         for wired, part in self._parts:
             if wired.residual.convex:
                 parts.append((wired, part[rows]))
+            elif part.shape[-1] == 2:
+                parts.append((wired, _clamped(part[rows])))
             else:
                 flat = wired.residual.gauss_newton(*wired.variables(self._X[rows])).hessian
                 wired.hold(flat)
@@ -244,7 +247,7 @@ class Assembly:
             else:
                 free = np.concatenate([self.free[k + o, columns] for o, columns, _ in wired.runs])
             if not free.all():
-                held.append((at, np.outer(free, free)))
+                held.append((at, np.outer(free, free) if free.any() else None))
         return replace(wired, held=tuple(held)) if held else wired
 
     def wired(self, which: int) -> Iterator[tuple[_Wired, Term]]:
@@ -430,6 +433,20 @@ def hold(free: NDArray[np.bool_], diagonal: Array, upper: Array) -> None:
             upper[:, k - 1, :, held] = 0
 
 
+def _clamped(H: Array) -> Array:
+    """Symmetric (..., 2, 2) blocks without their negative eigenvalues."""
+    a, b, c = H[..., 0, 0], H[..., 1, 1], H[..., 0, 1]
+    middle, half = 0.5 * (a + b), 0.5 * (a - b)
+    radius = np.sqrt(half * half + c * c)
+    high, low = np.maximum(middle + radius, 0.0), np.maximum(middle - radius, 0.0)
+    # H = middle + radius·R with R² = 1, and so is the result.
+    mean, scale = 0.5 * (high + low), 0.5 * (high - low) / np.maximum(radius, 1e-300)
+    out = np.empty_like(H)
+    out[..., 0, 0], out[..., 1, 1] = mean + scale * half, mean - scale * half
+    out[..., 0, 1] = out[..., 1, 0] = scale * c
+    return out
+
+
 def _chunks(count: int, size: int) -> Iterator[slice]:
     """As many of `count` items of a size at once as `CHUNK` has room for."""
     some = max(1, CHUNK // size)
@@ -560,8 +577,8 @@ def _layout(
         where = np.frombuffer(order, dtype=np.intp)[columns]
         for a, b in _progressions(where.tolist()):
             step = int(where[a + 1] - where[a]) if b - a > 1 else 1
-            into = slice(int(where[a]), int(where[b - 1]) + 1, step)
-            split.append((at, into, slice(rows.start + a, rows.start + b)))
+            places_in = slice(int(where[a]), int(where[b - 1]) + 1, step)
+            split.append((at, places_in, slice(rows.start + a, rows.start + b)))
     blocks: list[tuple[Any, ...]] = []
     for at_row, into_rows, rows in split:
         for at_column, into_columns, columns in split:

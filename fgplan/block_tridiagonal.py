@@ -294,8 +294,11 @@ class Chains:
         """x_b with H_b x_b = rhs_b, shape (B, S, D), zero where H_b is not positive definite, and
         where it is (B,). The band is overwritten."""
         band, definite = self.factorize()
-        x, _ = lapack.dpbtrs(band, rhs[..., np.argsort(self.order)].reshape(-1), lower=1)
-        x = np.asarray(x).reshape(rhs.shape)[..., self.order]
+        natural = bool((self.order[1:] > self.order[:-1]).all())
+        ordered = rhs if natural else rhs[..., np.argsort(self.order)]
+        x, _ = lapack.dpbtrs(band, ordered.reshape(-1), lower=1)
+        x = np.asarray(x).reshape(rhs.shape)
+        x = x if natural else x[..., self.order]
         if not definite.all():
             x[~definite] = 0.0
         return x, definite

@@ -115,8 +115,9 @@ class SecondOrder:
         energy = assembly.energy(X, which)
         last, stuck = np.zeros_like(X), np.zeros(B, dtype=bool)
         active = np.flatnonzero(np.isfinite(energy))
-        for b in np.flatnonzero(~np.isfinite(energy)).tolist():
-            stop[b] = Stop.NOT_FINITE
+        if len(active) < B:
+            for b in np.flatnonzero(~np.isfinite(energy)).tolist():
+                stop[b] = Stop.NOT_FINITE
         began = perf_counter()
         for _ in range(self.max_iterations):
             if not len(active):
@@ -157,9 +158,11 @@ class SecondOrder:
             on = np.sort(np.concatenate([on, active[going[again]]]))
             active = self._apart(X, energy, which, on, stop)
         end = assembly.moved(X, last)
-        before, after = assembly.energy(X, which), assembly.energy(end, which)
-        better = after < before
-        X[better], energy = end[better], np.where(better, after, before)
+        after = assembly.energy(end, which)
+        worse = after > energy + ROUNDING * np.abs(energy)
+        if worse.any():
+            end[worse], after[worse] = X[worse], assembly.energy(X[worse], which[worse])
+        X, energy = end, after
         return tuple(
             Solution(X[b], float(energy[b]), int(iterations[b]), stop[b], float(decrement[b]))
             for b in range(B)
@@ -284,10 +287,16 @@ def _directions(
     return _Directions(step, np.where(found, promised, np.inf), minimum, newton, q)
 
 
+ROUNDING = 1e-12
+"""Relative error of an energy."""
 FULL_STEP = 0.5
 """A full step is taken when it brings this share of what it promised."""
 LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0)
 SHORT_LENGTHS = (2.0**-12, 2.0**-8, 2.0**-6, 2.0**-4)
+LONG_LENGTHS = (4.0, 16.0, 64.0)
+"""For Gauss–Newton steps on which the energy curves downwards: near a saddle they are short."""
+CURVED = 1.5
+"""It does where a full step brings this many times what it promised."""
 
 
 def _line_search(
@@ -312,6 +321,14 @@ def _line_search(
         length[poor[better]], reached[poor[better]] = s[best[better]], lowest[better]
         # A longer search is only for those that still go up.
         poor = poor[reached[poor] >= before[poor]]
+    way_down = before - reached > CURVED * promised
+    long = np.flatnonzero(way_down & ~way.newton[rows] & (length == 1.0))
+    if len(long):
+        s = np.array(LONG_LENGTHS)
+        tried = _finite(energies(np.tile(s[:, None], len(long)), rows[long]))
+        best, lowest = tried.argmin(axis=0), tried.min(axis=0)
+        better = lowest < reached[long]
+        length[long[better]], reached[long[better]] = s[best[better]], lowest[better]
     descends = reached < before
     return np.where(descends, length, 0.0), np.where(descends, reached, before)
 
