@@ -19,6 +19,8 @@ ROOM = 1.0
 """Who begins anew needs this much room around the first waypoint [m], and ..."""
 AWAY = 2.0
 """... the robot this far away [m]."""
+GONE = 0.25
+"""Who is gone comes in no sooner than this [s]: nobody is at both ends of the world in a period."""
 OUTSIDE = 1e5
 """Where people are who are not in the world [m]; each a little further, apart from all others."""
 
@@ -85,6 +87,7 @@ class Walkers:
         self._rows = np.arange(count)
         self._begins = np.array([w.begins for w in walkers], dtype=float)
         self._time = 0.0
+        self._left = np.full(count, -np.inf)
 
     @property
     def targets(self) -> Array:
@@ -123,14 +126,16 @@ class Walkers:
             self._step[back] *= -1
             self._at[back] = np.clip(self._at[back] + self._step[back], 0, self._last[back])
             gone = over & self._anew
-            self.present[gone] = False
+            self.present[gone], self._left[gone] = False, self._time
             self.positions[gone] = OUTSIDE * (1 + self._rows[gone])[:, None]
         if not self.present.all():
             self._enter(robot)
 
     def _enter(self, robot: Disc | None) -> None:
         """Who is gone comes in as somebody else, one after the other, when there is room."""
-        for i in np.flatnonzero(~self.present).tolist():
+        # 1e-9: as above.
+        ready = ~self.present & (self._time - self._left >= GONE - 1e-9)
+        for i in np.flatnonzero(ready).tolist():
             walker = self._walkers[i]
             entry = walker.position if walker.entry is None else walker.entry
             others = self.positions[self.present] - entry
