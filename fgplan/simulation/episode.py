@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,6 +172,17 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     return log.episode(world, end, goal, reference, delays, tuple(entries), error)
 
 
+class _Step(NamedTuple):
+    """What is kept of a step: a decision holds all hypotheses, and an hour of them gigabytes."""
+
+    outcome: Outcome
+    label: str | None
+    unsafe: bool
+    seconds: float
+    gap: float
+    blocked: bool
+
+
 class _Log:
     """Collects the steps of a run."""
 
@@ -179,7 +191,7 @@ class _Log:
         self.states: list[Array] = []
         self.headings: list[float] = []
         self.people: list[Array] = []
-        self.steps: list[tuple[Command, float, float, bool]] = []
+        self.steps: list[_Step] = []
         self._state(body, people)
 
     def _state(self, body: Body, people: People) -> None:
@@ -191,7 +203,8 @@ class _Log:
         self, body: Body, people: People, command: Command, took: float, gap: float, blocked: bool
     ) -> None:
         self._state(body, people)
-        self.steps.append((command, took, gap, blocked))
+        unsafe = command.decision is not None and not command.decision.action.safe
+        self.steps.append(_Step(command.outcome, command.label, unsafe, took, gap, blocked))
 
     def episode(
         self, world: World, end: End, goal: Array, reference: float, delays: Array,
@@ -205,19 +218,16 @@ class _Log:
             headings=np.array(self.headings),
             people=np.array(self.people),
             radii=self.radii,
-            gaps=np.array([gap for _, _, gap, _ in self.steps]),
-            blocked=np.array([blocked for *_, blocked in self.steps], dtype=bool),
-            outcomes=tuple(command.outcome for command, *_ in self.steps),
-            labels=tuple(command.label for command, *_ in self.steps),
-            seconds=np.array([took for _, took, _, _ in self.steps]),
+            gaps=np.array([s.gap for s in self.steps]),
+            blocked=np.array([s.blocked for s in self.steps], dtype=bool),
+            outcomes=tuple(s.outcome for s in self.steps),
+            labels=tuple(s.label for s in self.steps),
+            seconds=np.array([s.seconds for s in self.steps]),
             goal=goal,
             reference=reference,
             delays=np.array(delays),
             discomfort=world.rules.discomfort,
             entries=entries,
-            unsafe=sum(
-                command.decision is not None and not command.decision.action.safe
-                for command, *_ in self.steps
-            ),
+            unsafe=sum(s.unsafe for s in self.steps),
             error=error,
         )

@@ -1,0 +1,138 @@
+"""An hour of driving: 36,000 steps through a crowd that is never the same, back and forth.
+
+Two corridors, people in both directions and across; who leaves comes in anew as somebody else. A
+share of the observations can be spoilt. Every action is checked: finite, within the limits of the
+robot, and whether the planner's own check calls it a contact.
+"""
+
+from __future__ import annotations
+
+import gc
+import resource
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fgplan.driving import Observation, Settings
+from fgplan.scenario import Robot
+from fgplan.simulation.driver import Fgplan
+from fgplan.simulation.episode import Moment, run
+from fgplan.simulation.file import FromFile
+from fgplan.simulation.world import World
+
+FILE = Path(__file__).parents[2] / "data" / "simulations" / "hour.toml"
+ENDS = np.array([[18.5, 4.0], [1.5, 4.0]])
+NEAR = 0.6
+"""The robot turns round this near to an end [m]."""
+WARM_UP = 0.1
+"""Share of the steps before memory is compared."""
+SLACK = 1e-6
+Progress = Callable[[str, int, int], None]
+
+
+class Rounds:
+    """Gives the robot a new goal whenever it has come to one.
+
+    Args:
+        tamper: What else happens to an observation; None is nothing.
+    """
+
+    def __init__(self, tamper: Callable[[Observation], Observation] | None) -> None:
+        self.tamper, self.done = tamper, 0
+
+    def __call__(self, observation: Observation) -> Observation:
+        goal = ENDS[self.done % 2]
+        if float(np.hypot(*(observation.position - goal))) < NEAR:
+            self.done += 1
+            observation = replace(observation, goal=ENDS[self.done % 2])
+        return observation if self.tamper is None else self.tamper(observation)
+
+
+@dataclass
+class Watch:
+    """Checks every step."""
+
+    robot: Robot
+    period: float
+    steps: int
+    progress: Progress | None = None
+    broken: list[str] = field(default_factory=list)
+    outcomes: dict[str, int] = field(default_factory=dict)
+    memory: list[float] = field(default_factory=list)
+    count: int = 0
+
+    def __call__(self, moment: Moment) -> None:
+        decision, robot = moment.command.decision, self.robot
+        self.count += 1
+        if self.count % max(1, self.steps // 100) == 0:
+            gc.collect()
+            self.memory.append(rss())
+            if self.progress is not None:
+                self.progress("steps", self.count, self.steps)
+        if decision is None:
+            self.broken.append(f"{self.count}: no decision")
+            return
+        name = str(decision.outcome)
+        self.outcomes[name] = self.outcomes.get(name, 0) + 1
+        velocity = decision.action.velocity
+        if not np.all(np.isfinite(velocity)):
+            self.broken.append(f"{self.count}: {velocity} is not finite")
+        elif np.hypot(*velocity) > robot.max_speed + SLACK:
+            self.broken.append(f"{self.count}: {np.hypot(*velocity):.3f} m/s")
+
+
+def rss() -> float:
+    """Memory of this process [MB]."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize() / 2**20
+    except OSError:  # not Linux: the largest so far
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+
+
+def drive(
+    steps: int, faults: float = 0.0, seed: int = 0, deadline: float | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Drive, and say what was wrong.
+
+    Args:
+        steps: Of 0.1 s.
+        faults: Share of the observations that are spoilt.
+        seed: Of the world.
+        deadline: Of a plan [s]; None lets it end.
+        progress: Told how many steps are done.
+    """
+    world: World = FromFile(FILE, (("world.faults", str(faults)),))(seed)
+    period, rounds = world.rules.period, Rounds(world.tamper)
+    world = replace(
+        world,
+        tamper=rounds,
+        # The run must not end at a goal.
+        rules=replace(world.rules, time_limit=steps * period, tolerance=1e-6),
+    )
+    watch = Watch(world.scenario.robot, period, steps, progress)
+    maker = Fgplan(settings=Settings(deadline=deadline))
+    episode = run(world, maker(world), watch)
+    begun = episode.gaps < 0
+    kept = watch.memory[int(WARM_UP * len(watch.memory)) :] or [rss()]
+    return {
+        "steps": watch.count,
+        "faults": faults,
+        "end": str(episode.end),
+        "error": episode.error,
+        "rounds": rounds.done,
+        "broken": watch.broken,
+        "contacts": int(np.sum(begun & ~np.append(False, begun[:-1]))),
+        "wall_contacts": int(episode.blocked.sum()),
+        "unsafe": episode.unsafe,
+        "memory_growth_mb": kept[-1] - kept[0],
+        "outcomes": watch.outcomes,
+        **{
+            f"step_ms_p{q}": float(np.percentile(1e3 * episode.seconds, q))
+            for q in (50, 95, 99, 100)
+        },
+    }
