@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -118,6 +118,7 @@ def test_who_waits_begins_when_it_is_time() -> None:
     assert np.allclose(people.delays, 0)
 
 
+@settings(deadline=None)
 @given(arrays(bool, st.tuples(st.integers(1, 7), st.integers(1, 7))), st.floats(-3, 3))
 def test_rectangles_are_the_occupied_cells(occupied: Any, yaw: float) -> None:
     grid = OccupancyGrid.from_array(occupied, 0.5, (1.0, -2.0, yaw))
