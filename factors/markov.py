@@ -150,7 +150,13 @@ class Memory(NamedTuple):
 
 
 def remembered(
-    process: Process, ages: Sequence[float], H: Sequence[Array], z: Array, R: Sequence[Array]
+    process: Process,
+    ages: Sequence[float],
+    H: Sequence[Array],
+    z: Array,
+    R: Sequence[Array],
+    known: Memory | None = None,
+    since: float = 0.0,
 ) -> Memory:
     """Readings z_j = H_j x(−age_j) + N(0, R_j) before now, as a density of the state now.
 
@@ -163,17 +169,21 @@ def remembered(
         H: One matrix (rows_j, 2m) per reading.
         z: Shape (Σ rows_j, K), K versions of the data (one for each mean that was taken off).
         R: One covariance (rows_j, rows_j) per reading.
+        known: What earlier readings said of the state `since` seconds before now, which none of
+            these is older than; instead of what the process says by itself. So data may come in
+            parts, and what is over need not be kept.
+        since: [s].
 
     Reference:
         Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter VI.
     """
     starts = np.cumsum([0, *(len(h) for h in H)])
     order = sorted(range(len(ages)), key=lambda j: -ages[j])
-    size, versions = H[0].shape[1], z.shape[1]
-    A, b, energy = np.zeros((0, size)), np.zeros((0, versions)), np.zeros(versions)
-    if process.stationary is not None:
-        A, b = whitener(process.stationary), np.zeros((size, versions))
-    clock = ages[order[0]]
+    if known is not None:
+        (A, b, energy), clock = known, since
+    else:
+        A, b, energy = _before_data(process, H[0].shape[1], z.shape[1])
+        clock = ages[order[0]]
     for j in order:
         if clock - ages[j] > SIMULTANEOUS:
             A, b, energy = _propagate(process, clock - ages[j], A, b, energy)
@@ -184,6 +194,13 @@ def remembered(
     if clock > SIMULTANEOUS:
         A, b, energy = _propagate(process, clock, A, b, energy)
     return Memory(A, b, energy)
+
+
+def _before_data(process: Process, size: int, versions: int) -> Memory:
+    A, b = np.zeros((0, size)), np.zeros((0, versions))
+    if process.stationary is not None:
+        A, b = whitener(process.stationary), np.zeros((size, versions))
+    return Memory(A, b, np.zeros(versions))
 
 
 def _propagate(

@@ -38,7 +38,7 @@ from factors.markov import (
 )
 from factors.measurement import position_measurement
 from factors.residual import Linear, log_gaussian_normalizer, whitener
-from fgplan.hypothesis import Course, Hypothesis
+from fgplan.hypothesis import Course, Heard, Hypothesis
 from fgplan.measuring import ROBOT, Measurement, Reading
 from fgplan.robots import Piece
 from fgplan.scenario import Density, Level, Scenario
@@ -48,6 +48,9 @@ Array = NDArray[np.float64]
 Stamped = tuple[float, Reading]
 """A reading and its time from now [s]."""
 
+FORGOTTEN = 30.0
+"""Correlation times after which a level has forgotten its state: what is left of it,
+(1 + λt) e^(−λt) with λ = √3 / length, is 2e-21 and below rounding."""
 LOOK = 0.1
 """How finely the nearest time to a position is looked for at first [s]."""
 
@@ -61,20 +64,48 @@ def reweigh(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypot
     hypotheses = tuple(hypotheses)
     if not scenario.data or any(h.plan is None for h in hypotheses):
         return hypotheses
-    against = np.zeros(len(hypotheses))
-    for index, level in enumerate(scenario.levels):
-        data = measuring(scenario, level.name)
-        if level.sigma == 0:
-            against += [_on_plan(scenario, level, data, h) for h in hypotheses]
-        elif data:
-            memory = _memory(scenario, index, hypotheses)
-            against += 0.0 if memory is None else memory.energy
-            against += [_passed(scenario, level, data, h) for h in hypotheses]
-    score = np.array([h.log_prior for h in hypotheses]) - against
+    score = np.array([h.log_prior for h in hypotheses]) - _against(scenario, hypotheses)[0]
     score -= np.logaddexp.reduce(score)
     return tuple(
         replace(h, log_prior=weight) for h, weight in zip(hypotheses, score.tolist(), strict=True)
     )
+
+
+def heard(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Hypotheses that have heard the readings of a scenario, all of which are of before now: these
+    need not be kept, the hypotheses say the same without them.
+
+    What the readings say against a hypothesis is in its weight, which is not normalised; what they
+    say of a random level's state now, in `Hypothesis.heard`. The plans must be those there were.
+    """
+    against, memories = _against(scenario, hypotheses)
+    found = []
+    for i, hypothesis in enumerate(hypotheses):
+        known = {
+            name: Heard(scenario.now, memory.A, memory.b[:, i]) for name, memory in memories.items()
+        }
+        weight = hypothesis.log_prior - float(against[i])
+        found.append(replace(hypothesis, log_prior=weight, heard={**hypothesis.heard, **known}))
+    return tuple(found)
+
+
+def _against(
+    scenario: Scenario, hypotheses: Sequence[Hypothesis]
+) -> tuple[Array, dict[str, Memory]]:
+    """What data says against each hypothesis, shape (K,) [nats], and of random levels now."""
+    against, memories = np.zeros(len(hypotheses)), {}
+    for index, level in enumerate(scenario.levels):
+        data = measuring(scenario, level.name)
+        if level.sigma == 0:
+            against += [_on_plan(scenario, level, data, h) for h in hypotheses]
+            continue
+        memory = _memory(scenario, index, hypotheses)
+        if memory is not None:
+            against += memory.energy
+            memories[level.name] = memory
+        if data:
+            against += [_passed(scenario, level, data, h) for h in hypotheses]
+    return against, memories
 
 
 def measuring(scenario: Scenario, name: str) -> tuple[Measurement, ...]:
@@ -184,9 +215,9 @@ def on_level(
     """Data on a random level, for each hypothesis."""
     d, now, level = scenario.density, scenario.now, scenario.levels[index]
     data = measuring(scenario, level.name)
-    if not data:
-        return (LevelData(),) * len(hypotheses)
     memory = _memory(scenario, index, hypotheses)
+    if not data and memory is None:
+        return (LevelData(),) * len(hypotheses)
     process, readings = _process(level, d), _readings(data)
     stamped = [(r.time - now, r) for r in readings if r.time is not None]
     groups = list(_grouped(process, stamped, d))
@@ -252,17 +283,33 @@ def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) ->
     level, now = scenario.levels[index], scenario.now
     readings = _readings(measuring(scenario, level.name))
     past = [(r.time - now, r) for r in readings if r.time is not None and r.time < now]
-    if not past:
+    known, since = _known(level, hypotheses, now)
+    if not past and known is None:
         return None
     means = [_mean(level, h) for h in hypotheses]
-    z = [np.concatenate([_deviation(r, mean, t, now) for t, r in past]) for mean in means]
+    z = np.array([[_deviation(r, mean, t, now) for t, r in past] for mean in means])
     return remembered(
         _process(level, scenario.density),
         [-t for t, _ in past],
         [_matrix(reading) for _, reading in past],
-        np.stack(z, axis=1),
+        z.reshape(len(hypotheses), -1).T,
         [reading.covariance for _, reading in past],
+        known,
+        since,
     )
+
+
+def _known(
+    level: Level, hypotheses: Sequence[Hypothesis], now: float
+) -> tuple[Memory | None, float]:
+    """What is left of data that is kept no longer, and how old it is [s]. Who has heard nothing
+    deviates from its plan by nothing."""
+    told = [h.heard.get(level.name) for h in hypotheses]
+    first = next((one for one in told if one is not None), None)
+    if first is None or (np.isfinite(level.sigma) and now - first.time > FORGOTTEN * level.length):
+        return None, 0.0
+    b = [np.zeros(len(first.A)) if one is None else one.b for one in told]
+    return Memory(first.A, np.stack(b, axis=1), np.zeros(len(told))), now - first.time
 
 
 def _state_now(memory: Memory, i: int, mean: Course | None) -> Linear:

@@ -48,6 +48,22 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
+class Heard:
+    """What data that is kept no longer says of a level: exp(−½‖A x − b‖²), x its state less the
+    plan that there was.
+
+    Args:
+        time: Of the state [s], on the clock of `Scenario.now`.
+        A: Shape (r, 4), r ≤ 4.
+        b: Shape (r,).
+    """
+
+    time: float
+    A: Array
+    b: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Start:
     """An initial value for the optimiser: one guess of the robot's trajectory.
 
@@ -78,6 +94,8 @@ class Hypothesis:
             horizon. None goes on from both ends of the plan at the velocity there. A trajectory
             is the plan of now, at more times.
         own: Plans of levels that have hypotheses of their own, by the level's name.
+        heard: What is left of data that is kept no longer, by the level's name; what it says
+            against the hypothesis is in `log_prior`.
     """
 
     label: str
@@ -88,6 +106,7 @@ class Hypothesis:
     route: Array | None = None
     course: Course | Trajectory | None = None
     own: Mapping[str, Trajectory] = field(default_factory=dict)
+    heard: Mapping[str, Heard] = field(default_factory=dict)
 
     def plan_of(self, level: str) -> Trajectory | None:
         """The plan that is the mean of a level."""

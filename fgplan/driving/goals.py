@@ -11,6 +11,7 @@ from fgplan.conditioning import reweigh
 from fgplan.crowd import Belief, believe
 from fgplan.driving.observation import Intent, Observation
 from fgplan.driving.operating import Operated
+from fgplan.driving.recollection import Recollection
 from fgplan.driving.routing import Routes, Routing
 from fgplan.errors import NoRoute
 from fgplan.hypotheses import hypothesise
@@ -75,7 +76,7 @@ class GoalInference:
         routing: Routing = Routing(),  # noqa: B008 - frozen
     ) -> None:
         self.goals = CandidateGoals(candidates, routing)
-        self.operated = Operated()
+        self.operated = Operated(past=Recollection())  # candidates keep their names
         self._scenario = scenario.replace(goal=None, tracks=(), data=())
         d = scenario.density
         self._nobody = believe((), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
@@ -99,8 +100,7 @@ class GoalInference:
         if not ways:
             raise NoRoute("NO_VALID_PATH", "nothing leads to any of the candidates")
         uniform = [replace(way, log_prior=-float(np.log(len(ways)))) for way in ways]
-        recalled = [operated.recall(way, scenario.now, None) for way in uniform]
-        weighed = reweigh(scenario, recalled)
+        weighed = reweigh(scenario, operated.recalled(uniform, scenario.now, None))
         probability = {h.label: float(np.exp(h.log_prior)) for h in weighed}
         operated = operated.note(ways, scenario, None)
         self.operated = operated.conclude(probability, scenario.now)

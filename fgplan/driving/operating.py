@@ -2,7 +2,7 @@
 
 What a stick said at a fork keeps counting for the way it pointed at, however the robot has moved
 since: each datum is compared with the plan that a hypothesis, known by its name, had when it was
-said.
+said. Data that is over is heard and not kept (`recollection.py`); it counts on.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from factors.residual import whitener
 from fgplan.driving.observation import Intent
 from fgplan.driving.proposals import route
+from fgplan.driving.recollection import Recollection, rest_of
 from fgplan.driving.routing import Routing, Way, joined
-from fgplan.hypothesis import Course, Hypothesis
+from fgplan.hypothesis import Hypothesis
 from fgplan.measuring import Measurement, Reading
 from fgplan.mixture import Mixture
-from fgplan.scenario import Scenario
+from fgplan.scenario import Level, Scenario
 from fgplan.shared_control import (
     VIA,
     Lead,
@@ -34,13 +35,15 @@ from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
+LATE = 3.0
+"""Data is kept for this long, since some of it may come late [s]."""
 LENGTHS = 6.0
-"""Correlation times of the longest level after which data is forgotten: by then it moves a level
-by less than 4e-4 of what it did."""
+"""Correlation times of the longest level after which a place without a time that was not met is
+forgotten: by then it moves a level by less than 4e-4 of what it did."""
 NEAR = 0.3
 """How far ahead of the robot the way through the waypoints is joined [m]."""
 MOST = 400
-"""Readings that are remembered: the latest."""
+"""Readings of the past that are kept: where there are more, the oldest are heard sooner."""
 CERTAIN = 0.9
 """From this probability on it is known what the operator wants."""
 
@@ -50,45 +53,104 @@ class Operated:
     """What is remembered of the operator.
 
     Args:
-        data: What was said, each item once.
-        plans: Of each hypothesis by the name of its route: when it was made [s], and the plan.
+        data: What was said and is kept, each item once.
+        waiting: What is to be heard at the next step.
+        past: What was said and is not kept, and the plans of each hypothesis.
         met: Names of waypoints that were reached.
         via: The way through the waypoints, for which of them, and when it was searched [s].
         closest: When the robot was nearest to each place without a time [s], and how near, in
             standard deviations.
-        noted: When plans were looked at last [s].
         best: What the operator most probably wants, and since when it has been certain [s].
+        late: How late data may come [s].
     """
 
     data: tuple[Measurement, ...] = ()
-    plans: Mapping[str, tuple[tuple[float, Trajectory], ...]] = field(default_factory=dict)
+    waiting: tuple[Measurement, ...] = ()
+    past: Recollection = Recollection(patience=LATE)  # noqa: RUF009 - frozen
     met: tuple[str, ...] = ()
     via: tuple[Way | None, bytes, float] = (None, b"", -np.inf)
     closest: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
-    noted: float = -np.inf
     best: tuple[str, float] | None = None
+    late: float = LATE
 
     def hear(
         self, said: Iterable[Measurement], scenario: Scenario
     ) -> tuple[Operated, tuple[str, ...]]:
         """With new data, without what is over, and what was refused or cannot be done."""
-        admitted = admit(said, scenario)
-        horizon = LENGTHS * max(level.length for level in scenario.levels)
-        closest = self._approach(scenario, (*self.data, *admitted.data))
+        admitted = admit((*self.waiting, *said), scenario)
+        new, notes = self._in_time(admitted.data, scenario.now)
+        closest = self._approach(scenario, (*self.data, *new))
         data, met = [], []
-        for measurement in (*self.data, *admitted.data):
-            if _over(measurement, closest, scenario.now - horizon):
-                continue
+        for measurement in (*self.data, *new):
             if isinstance(measurement, Waypoint) and _is_met(measurement, scenario):
                 met.append(measurement.name)
             else:
                 data.append(measurement)
-        while sum(len(m.readings) for m in data) > MOST:
-            data.pop(0)
-        notes = (*admitted.notes, *(f"{name} is reached" for name in met))
-        plans = self.plans if data else {}
-        heard = replace(self, data=tuple(data), plans=plans, closest=closest)
-        return replace(heard, met=(*self.met, *met)), notes
+        kept, past = self._over(data, closest, scenario)
+        notes = [*admitted.notes, *notes, *(f"{name} is reached" for name in met)]
+        operated = replace(self, data=kept, waiting=(), past=past, closest=closest)
+        return replace(operated, met=(*self.met, *met)), tuple(notes)
+
+    def _in_time(
+        self, data: Iterable[Measurement], now: float
+    ) -> tuple[list[Measurement], list[str]]:
+        """Data of moments that were not heard yet, and what came too late."""
+        kept, notes = [], []
+        for measurement in data:
+            times = [r.time for r in measurement.readings if r.time is not None]
+            if times and min(times) < self.past.until:
+                late = f"{now - min(times):.2f} s late"
+                notes.append(f"operator data ({_name(measurement)}) came {late}: refused")
+            else:
+                kept.append(measurement)
+        return kept, notes
+
+    def _over(
+        self,
+        data: Iterable[Measurement],
+        closest: Mapping[tuple[int, int], tuple[float, float]],
+        scenario: Scenario,
+    ) -> tuple[tuple[Measurement, ...], Recollection]:
+        """Data that is kept, and the past with what is over."""
+        data, now = tuple(data), scenario.now
+        stamps = sorted(
+            r.time for m in data for r in m.readings if r.time is not None and r.time < now
+        )
+        until = max(now - self.late, self.past.until)
+        if len(stamps) > MOST:
+            until = max(until, stamps[-MOST])
+        elif not self.past.of:  # nobody is there yet who could hear it
+            return data, self.past
+        horizon = now - LENGTHS * max(level.length for level in scenario.levels)
+        levels: dict[str | None, Level] = {level.name: level for level in scenario.levels}
+        levels[None] = scenario.levels[0]
+        kept: list[Measurement] = []
+        over: dict[str | None, list[Reading]] = {}
+        for measurement in data:
+            on, readings = measurement.on, tuple(measurement.readings)
+            stamped = [reading.time is not None for reading in readings]
+            level = levels.get(on)
+            own = level is not None and bool(level.plans)
+            if all(stamped):
+                # What is known exactly can hear data in any order, and so at once.
+                before = now if level is not None and level.sigma == 0 else until
+                before = horizon if own else before
+                gone = [r.time is not None and r.time < before for r in readings]
+            else:  # of places without a time all are kept, or none
+                last = max(closest[id(measurement), j][0] for j, at in enumerate(stamped) if not at)
+                gone = [last < horizon] * len(readings)
+            if not any(gone):
+                kept.append(measurement)
+                continue
+            if not all(gone):
+                rest = [r for r, is_gone in zip(readings, gone, strict=True) if not is_gone]
+                kept.append(rest_of(measurement, rest))
+            if level is not None and not own:  # a robot's own past is known
+                some = [r for r, is_gone in zip(readings, gone, strict=True) if is_gone]
+                over.setdefault(on, []).extend(some)
+        if not over:
+            return tuple(kept), self.past
+        return tuple(kept), self.past.heard(over, scenario.replace(now=until))
 
     def _approach(
         self, scenario: Scenario, data: Iterable[Measurement]
@@ -118,44 +180,33 @@ class Operated:
         found = None if path is None else Way(VIA, path)
         return replace(self, via=(found, wanted, scenario.now))
 
-    def recall(self, hypothesis: Hypothesis, now: float, followed: str | None) -> Hypothesis:
-        """A hypothesis with its course so far. What was not there then shares the past of what was
-        followed: it branches off from there."""
-        name = route(hypothesis.label)
-        known = self.plans.get(name) or (self.plans.get(followed) if followed else None)
-        if not known or hypothesis.plan is None:
-            return hypothesis
-        ahead = hypothesis.along.plans[-1]
-        starts = np.array([start - now for start, _ in known] + [0.0])
-        course = Course(starts, (*(plan for _, plan in known), ahead))
-        return replace(hypothesis, course=course)
+    def recalled(
+        self, hypotheses: Sequence[Hypothesis], now: float, followed: str | None
+    ) -> tuple[Hypothesis, ...]:
+        """Hypotheses with their course so far, and what they have heard."""
+        if not self.data and not self.past.weighs:
+            return tuple(hypotheses)
+        return self.past.recalled(hypotheses, now, followed)
+
+    def branched(self, ways: Iterable[Way], now: float, followed: str | None) -> Operated:
+        """Where names of ways that were found just now mean something new."""
+        new = [way.label for way in ways if way.born == now]
+        return replace(self, past=self.past.branched(new, followed))
 
     def note(
         self, hypotheses: Sequence[Hypothesis], scenario: Scenario, followed: str | None
     ) -> Operated:
-        """With the plans of this step, as long as there is data that they may be compared with."""
+        """With the plans of this step."""
         now = scenario.now
         said = [t for m in self.data for r in m.readings if (t := _said(r)) is not None]
-        if not (self.closest or any(t > self.noted for t in said)):
-            return replace(self, noted=now)
-        oldest = min([now, *said, *(time for time, _ in self.closest.values())])
-        plans = dict(self.plans)
-        for h in hypotheses:
-            name = route(h.label)
-            if h.plan is None or name != h.label:
-                continue  # who waits on a route is on that route
-            before = plans.get(name) or plans.get(followed or "") or ()
-            recent = tuple(one for one in before if one[0] < now)
-            # The one plan in force at the oldest datum is still needed.
-            first = max(sum(start <= oldest + 1e-6 for start, _ in recent) - 1, 0)
-            plans[name] = (*recent[first:], (now, h.plan))
-        return replace(self, plans=plans, noted=now)
+        oldest = min([now - self.late, *said, *(time for time, _ in self.closest.values())])
+        return replace(self, past=self.past.noted(hypotheses, now, oldest, followed))
 
     def understand(
         self, mixture: Mixture, scenario: Scenario, driven: Trajectory
     ) -> tuple[Operated, Intent | None]:
         """What the operator wants, as far as it is known, and what the plan leaves of it."""
-        if not self.data and self.best is None:
+        if not self.data and self.best is None and not self.past.weighs:
             return self, None
         probability: dict[str, float] = {}
         for component, p in zip(mixture.components, mixture.probability_height, strict=True):
@@ -175,16 +226,8 @@ class Operated:
         return self if known else replace(self, best=(name, now))
 
 
-def _over(
-    measurement: Measurement, closest: Mapping[tuple[int, int], tuple[float, float]], oldest: float
-) -> bool:
-    """Whether all it says is of before a time: of a place without one, when the robot was nearest
-    to it."""
-    times = [
-        closest[id(measurement), j][0] if reading.time is None else reading.time
-        for j, reading in enumerate(measurement.readings)
-    ]
-    return bool(times) and max(times) < oldest
+def _name(measurement: Measurement) -> str:
+    return str(getattr(measurement, "name", type(measurement).__name__.lower()))
 
 
 def _said(reading: Reading) -> float | None:

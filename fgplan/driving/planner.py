@@ -64,7 +64,9 @@ class Planner:
         validate(scenario)
         self.settings = settings
         self.sources = tuple(sources)
-        self.memory = Memory(scenario.replace(tracks=(), data=()), operated=Operated(scenario.data))
+        self.memory = Memory(
+            scenario.replace(tracks=(), data=()), operated=Operated(waiting=scenario.data)
+        )
         d = scenario.density
         self._tracker = Tracker(d.Qc_people, d.sigma_track, d.sigma_speed, settings.tracking)
 
@@ -166,7 +168,7 @@ class Planner:
             (way, price(way, scenario, belief, memory.blockages, settings.pricing))
             for way in memory.routes.ways
         ]
-        operated = memory.operated
+        operated = memory.operated.branched(memory.routes.ways, scenario.now, memory.followed)
         if scenario.data:
             leads = [Lead(way.path, cost.total) for way, cost in ways]
             operated = operated.seek(scenario, leads, settings.routing)
@@ -188,7 +190,7 @@ class Planner:
                 others,
             )
             proposed.extend(found)
-            return tuple(operated.recall(h, scenario.now, memory.followed) for h in found)
+            return operated.recalled(found, scenario.now, memory.followed)
 
         judge = self._judge(scenario, belief)
         left = None

@@ -57,6 +57,7 @@ class Way:
         log_weight: Of a plan that was given with one; 0 for others.
         stop: Where it ends, of a mission; "" for the goal.
         rest: What a mission still asks for beyond its end [m].
+        born: Since when its name has been that of this way [s].
     """
 
     label: str
@@ -64,6 +65,7 @@ class Way:
     log_weight: float = 0.0
     stop: str = ""
     rest: float = 0.0
+    born: float = -np.inf
 
     @property
     def length(self) -> float:
@@ -104,6 +106,12 @@ class Routes:
         """
         tried = [joined(way, scenario, settings) for way in self.ways]
         known = [way for way in tried if way is not None]
+        here = scenario.robot.position
+        lost = [
+            replace(way, path=np.vstack([here, way.path]))
+            for way, on in zip(self.ways, tried, strict=True)
+            if on is None
+        ]
         elsewhere = not _equal(self.goal, scenario.goal) or self.mission != scenario.mission
         changed = self.grid is not scenario.grid or elsewhere
         late = scenario.now - self.searched >= settings.period or scenario.now < self.searched
@@ -112,6 +120,8 @@ class Routes:
             return replace(self, ways=tuple(known))
         if elsewhere:
             known = []
+        if changed:
+            lost = []
         if self.grid is not scenario.grid:
             known = [way for way in known if _leads_on(way, scenario)]
         trouble = None
@@ -119,7 +129,7 @@ class Routes:
             found = _search(scenario)
         except NoRoute as error:
             found, trouble = [], error
-        ways = _named(scenario, settings, found, known, keep) if found else known
+        ways = _named(scenario, settings, found, known, lost, keep) if found else known
         return Routes(
             tuple(ways),
             scenario.now,
@@ -166,15 +176,27 @@ def _to_stops(scenario: Scenario) -> list[Way]:
 
 
 def _named(
-    scenario: Scenario, settings: Routing, found: list[Way], known: list[Way], keep: str | None
+    scenario: Scenario,
+    settings: Routing,
+    found: list[Way],
+    known: list[Way],
+    lost: list[Way],
+    keep: str | None,
 ) -> list[Way]:
-    """New routes under the names of the old ones of their class; new names for new classes."""
+    """New routes under the names of the old ones of their class, also of those that could not be
+    joined; new names for new classes."""
     named, left = [], list(known)
     for way in found:
-        twin = next((k for k in left if _same(scenario, settings, way, k)), None)
-        if twin is not None:
-            left.remove(twin)
-        named.append(replace(way, label=way.label or ("" if twin is None else twin.label)))
+        if way.label:
+            twin = next((k for k in (*left, *lost) if k.label == way.label), None)
+        else:
+            twin = next((k for k in (*left, *lost) if _same(scenario, settings, way, k)), None)
+        if twin is None:
+            named.append(replace(way, born=scenario.now))
+            continue
+        left = [k for k in left if k is not twin]
+        lost = [k for k in lost if k is not twin]
+        named.append(replace(way, label=twin.label, born=twin.born))
     named += [way for way in left if way.label == keep]
     used = {way.label for way in named}
     for i, way in enumerate(named):

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fgplan import Density, OccupancyGrid, Robot, Scenario
-from fgplan.conditioning import log_likelihood
+from fgplan import Density, Level, OccupancyGrid, Robot, Scenario
+from fgplan.conditioning import log_likelihood, on_level, reweigh
+from fgplan.crowd import believe
 from fgplan.driving import CandidateGoals, Observation, Outcome, Planner, Settings
-from fgplan.driving.operating import Operated
-from fgplan.hypothesis import Course
+from fgplan.driving.operating import LATE, Operated
+from fgplan.driving.recollection import Recollection
+from fgplan.hypotheses import hypothesise
+from fgplan.hypothesis import Course, Hypothesis, Start
 from fgplan.shared_control import VIA, Candidate, Joystick, Waypoint
 from fgplan.trajectory import Trajectory
 
@@ -86,14 +89,21 @@ def test_the_robot_commits_to_the_operators_corridor_and_does_not_turn_back():
 def test_the_choice_is_the_closed_form():
     """log w_A − log w_B = −β (J_A − J_B) ± commitment + log p(z | A) − log p(z | B), each datum on
     the plans that A and B had at its time."""
-    drive = Drive(planner(), held(-30, 0.4, 1.2)).run(2.4)
+    said = []
+
+    def say(t, position):
+        new = held(-30, 0.4, 1.2)(t, position)
+        said.extend(new)
+        return new
+
+    drive = Drive(planner(), say).run(2.4)
     decision, memory = drive.decisions[-1], drive.planner.memory
     assert decision.mixture is not None
     a, b = (next(c for c in decision.mixture.components if c.label == n) for n in ("A", "B"))
-    readings = [r for m in memory.operated.data for r in m.readings]
+    readings = [r for m in said for r in m.readings]
     likelihood = {}
     for label in ("A", "B"):
-        plans = memory.operated.plans[label]
+        plans = memory.operated.past.of[label].plans
         starts = np.array([start for start, _ in plans])
         which = [np.searchsorted(starts, r.said + 1e-6, side="right") - 1 for r in readings]
         likelihood[label] = sum(
@@ -171,14 +181,18 @@ def test_without_a_goal_the_operator_reveals_it():
     assert drive.decisions[0].intent is None
 
 
-def test_a_stick_that_is_let_go_leaves_nothing_behind_in_the_end():
+def test_of_a_stick_that_is_let_go_what_it_said_is_left_and_nothing_else():
     drive = Drive(planner(), held(-30, 0.0, 0.4)).run(1.0)
-    operated = drive.planner.memory.operated
+    operated, scenario = drive.planner.memory.operated, drive.planner.memory.scenario
     assert operated.data
-    scenario = drive.planner.memory.scenario
     later, _ = operated.hear((), scenario.replace(now=60.0))
     assert later.data == ()
-    assert dict(later.plans) == {}
+    proposed = hypothesise(scenario.replace(count=2), believe((), 0.0, 0.03, 0.04, 1.5))
+    batch = reweigh(scenario, operated.recalled(proposed, scenario.now, "A"))
+    for a, b in zip(batch, later.recalled(proposed, 60.0, "A"), strict=True):
+        assert a.log_prior == pytest.approx(b.log_prior, abs=1e-9)
+    noted = later.note(proposed, scenario.replace(now=60.0), "A")
+    assert all(len(past.plans) <= 2 for past in noted.past.of.values())
 
 
 def test_the_course_of_a_hypothesis_is_the_plan_of_each_time():
@@ -197,11 +211,111 @@ def test_the_course_of_a_hypothesis_is_the_plan_of_each_time():
     np.testing.assert_allclose(course.times, [-2.0, -0.5, 0.0, 1.0, 2.0])
 
 
-def test_memory_is_bounded():
-    scenario = planner().memory.scenario
-    operated = Operated()
-    for k in range(300):
-        now = scenario.replace(now=0.1 * k)
-        operated, _ = operated.hear((stick(10, 0.1 * k),), now)
-    assert sum(len(m.readings) for m in operated.data) <= 400
-    assert operated.data[-1].time == pytest.approx(29.9)
+class Course3:
+    """Three ways that change from step to step, and what a planner does with an operator's data,
+    without planning."""
+
+    names = ("A", "B", "C")
+
+    def __init__(self, level, late=LATE):
+        robot = Robot(np.zeros(2), np.array([0.8, 0.0]))
+        self.scenario = Scenario(robot, levels=(level,), density=DENSITY)
+        self.operated = Operated(past=Recollection(), late=late)
+
+    def hypotheses(self, now):
+        times = DENSITY.times
+        found = []
+        for i, name in enumerate(self.names):
+            angle = 0.5 * (i - 1) + 0.2 * np.sin(0.3 * now + i)
+            v = 0.8 * np.array([np.cos(angle), np.sin(angle)])
+            plan = Trajectory(times, np.outer(times, v), np.tile(v, (len(times), 1)))
+            found.append(Hypothesis(name, -np.log(3), plan, 0.0, (Start("plan", plan),)))
+        return found
+
+    def step(self, now, said=()):
+        scenario = self.scenario.replace(now=now)
+        self.operated, notes = self.operated.hear(said, scenario)
+        scenario = scenario.replace(data=self.operated.data)
+        proposed = self.hypotheses(now)
+        recalled = self.operated.recalled(proposed, now, "B")
+        weighed = reweigh(scenario, recalled)
+        level = scenario.levels[0]
+        states = ()
+        if level.sigma > 0:
+            states = [data.now for data in on_level(scenario, 0, recalled)]
+        self.operated = self.operated.note(proposed, scenario, "B")
+        return np.array([h.log_prior for h in weighed]), states, notes
+
+
+@pytest.mark.parametrize(
+    "level", [Level(), Level(sigma=0.5, length=1.5)], ids=["fixed plans", "random plans"]
+)
+def test_what_is_not_kept_any_more_counts_as_if_it_were(level):
+    """Data that is heard and dropped gives the weights, and the density of the level's state, of
+    all data at once; also when it comes late and out of order."""
+    short, whole = Course3(level, late=0.6), Course3(level, late=np.inf)
+    rng = np.random.default_rng(2)
+    waiting = []
+    for k in range(60):
+        now = 0.1 * k
+        if k < 25 or k > 40:
+            waiting.append(stick(float(rng.normal(10, 15)), now, sigma=0.8))
+        due = waiting if rng.random() < 0.4 else []
+        rng.shuffle(due)
+        if due:
+            waiting = []
+        (a, states_a, notes), (b, states_b, _) = (c.step(now, due) for c in (short, whole))
+        assert not notes
+        np.testing.assert_allclose(a, b, atol=1e-8)
+        for x, y in zip(states_a, states_b, strict=True):
+            assert (x is None) == (y is None)
+            if x is not None:
+                (A,), (B,) = x.A, y.A
+                np.testing.assert_allclose(A.T @ A, B.T @ B, atol=1e-8)
+                np.testing.assert_allclose(A.T @ x.b, B.T @ y.b, atol=1e-8)
+    assert len(short.operated.data) < len(whole.operated.data)
+    assert np.ptp(a) > 1
+
+
+def test_a_stick_that_is_held_for_long_takes_no_more_room_and_counts_on():
+    """A minute at 10 Hz; an hour is `python -m benchmarks.operator --hour`."""
+    course = Course3(Level())
+    sizes = []
+    for k in range(600):
+        weights, _, _ = course.step(0.1 * k, (stick(3.0, 0.1 * k, sigma=2.0),))
+        if k % 100 == 99:
+            past = course.operated.past
+            sizes.append((len(course.operated.data), sum(len(p.plans) for p in past.of.values())))
+    assert sizes == [sizes[0]] * 6
+    assert weights[1] == pytest.approx(0, abs=1e-3)  # B goes ahead, as the stick says
+    assert weights[0] < -10
+    assert weights[2] < -10
+
+
+def test_what_comes_too_late_is_refused_by_name():
+    course = Course3(Level())
+    for k in range(50):
+        course.step(0.1 * k, (stick(10, 0.1 * k),))
+    late = stick(10, 0.5)
+    _, _, notes = course.step(5.0, (late,))
+    assert notes == ("operator data (joystick) came 4.17 s late: refused",)
+    assert all(m is not late for m in course.operated.data)
+
+
+def test_a_name_that_means_something_new_starts_from_what_was_followed():
+    course = Course3(Level())
+    for k in range(60):
+        course.step(0.1 * k, (stick(-30, 0.1 * k),))
+    past = course.operated.past
+    assert past.of["B"].energy > past.of["A"].energy + 1
+    followed = past.branched(["B"], "A")
+    assert followed.of["B"] == past.of["A"]
+    assert past.branched(["new"], "A") is past
+
+
+def test_data_of_the_scenario_is_looked_at_like_any_other():
+    inside = Waypoint(np.array([5.0, 0.0]), 0.3**2 * np.eye(2), name="pillar")
+    told = planner(data=(inside,))
+    decision = told.step(Observation(0.0, np.zeros(2)))
+    assert any("pillar" in repair for repair in decision.repairs)
+    assert told.step(Observation(PERIOD, np.zeros(2))).repairs == ()
