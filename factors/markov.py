@@ -184,15 +184,25 @@ def remembered(
     else:
         A, b, energy = _before_data(process, H[0].shape[1], z.shape[1])
         clock = ages[order[0]]
+    steps: dict[float, tuple[Array, Array]] = {}  # readings are often as far apart as others
+
+    def later(dt: float) -> Memory:
+        key = round(dt, 9)
+        if key not in steps:
+            Phi, Q = process.step(dt)
+            W = whitener(Q)
+            steps[key] = -W @ Phi, W
+        return _propagate(*steps[key], A, b, energy)
+
     for j in order:
         if clock - ages[j] > SIMULTANEOUS:
-            A, b, energy = _propagate(process, clock - ages[j], A, b, energy)
+            A, b, energy = later(clock - ages[j])
             clock = ages[j]
         W = whitener(R[j])
         seen = z[starts[j] : starts[j + 1]]
         A, b, energy = _compress(np.vstack([A, W @ H[j]]), np.vstack([b, W @ seen]), energy)
     if clock > SIMULTANEOUS:
-        A, b, energy = _propagate(process, clock, A, b, energy)
+        A, b, energy = later(clock)
     return Memory(A, b, energy)
 
 
@@ -203,25 +213,26 @@ def _before_data(process: Process, size: int, versions: int) -> Memory:
     return Memory(A, b, np.zeros(versions))
 
 
-def _propagate(
-    process: Process, dt: float, A: Array, b: Array, energy: Array
-) -> tuple[Array, Array, Array]:
-    """Rows on a state, as rows on the state dt later: the state itself is integrated out."""
-    Phi, Q = process.step(dt)
-    W, size = whitener(Q), A.shape[1]
-    joint = np.block([[-W @ Phi, W], [A, np.zeros_like(A)]])
-    rhs = np.vstack([np.zeros((size, b.shape[1])), b])
+def _propagate(before: Array, W: Array, A: Array, b: Array, energy: Array) -> Memory:
+    """Rows on a state, as rows on a later state, W x' + before x ~ N(0, I): the state itself is
+    integrated out."""
+    rows, size = A.shape
+    joint = np.zeros((size + rows, 2 * size))
+    joint[:size, :size], joint[:size, size:], joint[size:, :size] = before, W, A
+    rhs = np.zeros((size + rows, b.shape[1]))
+    rhs[size:] = b
     basis, upper = np.linalg.qr(joint, mode="complete")
     turned = basis.T @ rhs
-    # W Phi has full rank, so the first rows fix the earlier state whatever the later one is.
+    # The first rows fix the earlier state whatever the later one is: `before` has full rank.
     return _compress(upper[size:, size:], turned[size:], energy)
 
 
-def _compress(A: Array, b: Array, energy: Array) -> tuple[Array, Array, Array]:
+def _compress(A: Array, b: Array, energy: Array) -> Memory:
     """The same quadratic in at most as many rows as columns, and what is left over."""
     size = A.shape[1]
     if len(A) <= size:
-        return A, b, energy
+        return Memory(A, b, energy)
     basis, upper = np.linalg.qr(A, mode="complete")
     turned = basis.T @ b
-    return upper[:size], turned[:size], energy + 0.5 * np.sum(turned[size:] ** 2, axis=0)
+    left = 0.5 * np.sum(turned[size:] ** 2, axis=0)
+    return Memory(upper[:size], turned[:size], energy + left)

@@ -35,7 +35,7 @@ from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-LATE = 3.0
+LATE = 1.5
 """Data is kept for this long, since some of it may come late [s]."""
 LENGTHS = 6.0
 """Correlation times of the longest level after which a place without a time that was not met is
@@ -61,7 +61,7 @@ class Operated:
         closest: When the robot was nearest to each place without a time [s], and how near, in
             standard deviations.
         best: What the operator most probably wants, and since when it has been certain [s].
-        late: How late data may come [s].
+        late: How late data may come [s]; inf keeps it all.
     """
 
     data: tuple[Measurement, ...] = ()
@@ -133,7 +133,8 @@ class Operated:
             own = level is not None and bool(level.plans)
             if all(stamped):
                 # What is known exactly can hear data in any order, and so at once.
-                before = now if level is not None and level.sigma == 0 else until
+                exact = level is not None and level.sigma == 0 and self.late < np.inf
+                before = now if exact else until
                 before = horizon if own else before
                 gone = [r.time is not None and r.time < before for r in readings]
             else:  # of places without a time all are kept, or none
