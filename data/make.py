@@ -8,12 +8,14 @@ a second run changes nothing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.occupancy import OccupancyGrid
+from fgplan.shared_control import JoySample, write_joy
 
 HERE = Path(__file__).parent
 PEOPLE = "# --- people: written by data/make.py, do not edit below ---"
@@ -26,6 +28,9 @@ QC = 0.002
 """Power spectral density of a walker's acceleration [m²/s³]: people who walk steadily."""
 SIGMA = 0.02
 """Standard deviation of a detection [m]."""
+
+STICK_PERIOD, STICK_SIGMA, STICK_LOST = 0.05, 0.1, 0.2
+"""Of a stick: between two messages [s], of its axes, share of messages that is lost."""
 
 Vertices = list[tuple[float, float]]
 Person = tuple[float, float, float, float]
@@ -92,8 +97,37 @@ def people(name: str) -> str:
     return f"{PEOPLE}\n\n" + "\n".join(entries)
 
 
+def sticks() -> dict[str, tuple[JoySample, ...]]:
+    """Logs of Joy messages by name: a gamepad as teleop_twist_joy reads it, 20 Hz, in two bursts
+    with nothing between; a fifth of the messages is lost, and on release comes one of zeros."""
+    rng = np.random.default_rng(6)
+    bursts = {
+        "left_then_ahead": [(1.0, 1.5, 30.0), (6.0, 1.0, 0.0)],
+        "right_then_left": [(1.0, 1.2, -30.0), (4.0, 2.0, 35.0)],
+    }
+    return {name: tuple(_messages(parts, rng)) for name, parts in bursts.items()}
+
+
+def _messages(
+    bursts: list[tuple[float, float, float]], rng: np.random.Generator
+) -> Iterator[JoySample]:
+    """Of bursts: from when [s], for how long [s], how far to the left of straight ahead [deg]."""
+    held, let_go = (0, 0, 0, 0, 1, 0), (0, 0, 0, 0, 0, 0)
+    yield JoySample(0.0, (0.0,) * 4, let_go)
+    for first, duration, degrees in bursts:
+        wish = 0.9 * np.array([np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))])
+        for k in range(round(duration / STICK_PERIOD)):
+            axes = np.round(np.clip(wish + rng.normal(0, STICK_SIGMA, 2), -1, 1), 3)
+            if rng.random() >= STICK_LOST:
+                stamp = round(first + k * STICK_PERIOD, 6)
+                yield JoySample(stamp, (float(axes[0]), float(axes[1]), 0.0, 0.0), held)
+        yield JoySample(round(first + duration, 6), (0.0,) * 4, let_go)
+
+
 def main() -> None:
-    """Write every map, and the people into the scenario files that have any."""
+    """Write every map, every stick, and the people into the scenario files that have any."""
+    for name, samples in sticks().items():
+        write_joy(HERE / "operators" / f"{name}.jsonl", samples)
     for name, grid in maps().items():
         grid.save(HERE / "maps" / f"{name}.yaml")
     for name in CROWDS:

@@ -68,6 +68,10 @@ def simulate(
         list[str] | None,
         typer.Option("--set", help="Change a key of the files: world.people[0].count=12."),
     ] = None,
+    operator: Annotated[
+        str | None,
+        typer.Option(help="Who holds a stick, or a log of Joy messages; see docs/simulation.md."),
+    ] = None,
     json_to: JsonTo = None,
     csv_to: Annotated[
         Path | None, typer.Option("--csv", help="Write a line a run to a CSV file.")
@@ -82,7 +86,8 @@ def simulate(
     """Drive in simulated worlds: a row a planner and scenario, on the same seeds."""
     with reported():
         makers = [named(name) for name in planner]
-        setups = [FromFile(path, _changes(change or [])) for path in scenario]
+        stick = [] if operator is None else [f"world.operator={operator}"]
+        setups = [FromFile(path, _changes([*(change or []), *stick])) for path in scenario]
         for setup in setups:
             setup.check()
         every = range(seed_offset, seed_offset + seeds)

@@ -24,15 +24,17 @@ from fgplan.occupancy import OccupancyGrid
 from fgplan.regions import Region
 from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
+from fgplan.shared_control import Waypoint
 from fgplan.simulation.body import Limits
 from fgplan.simulation.faults import Faults
 from fgplan.simulation.human_like import HumanLike
+from fgplan.simulation.operators import Names, operator_named
 from fgplan.simulation.orca import Orca
 from fgplan.simulation.people import Motion, heedless
 from fgplan.simulation.sensor import Sensors, known_at_first
 from fgplan.simulation.walkers import Walker, Walkers
 from fgplan.simulation.walls import rectangles
-from fgplan.simulation.world import Event, Rules, World
+from fgplan.simulation.world import Event, Operator, Rules, World
 from fgplan.simulation.world_table import Box, DiscsTable, PeopleTable, WorldTable, understood
 from fgplan.timing import path_length
 
@@ -102,7 +104,7 @@ class FromFile:
         name = f"{self.name}, seed {seed}"
         reference = _shortest(grid, scenario, via, table)
         known = known_at_first(grid, start, quality.map_range)
-        return World(
+        world = World(
             name=name,
             scenario=scenario.replace(grid=known, field_of_view=quality.view, name=name),
             people=Walkers(walkers, _motion(table.motion, walkers, grid)),
@@ -127,6 +129,7 @@ class FromFile:
             tamper=Faults(table.faults, seed) if table.faults > 0 else None,
             reference=reference,
         )
+        return replace(world, operator=_operator(world, table, seed))
 
     def _read(self) -> tuple[Scenario, WorldTable]:
         try:
@@ -255,6 +258,18 @@ def _walker(
         entry=entry,
         begins=group.begins,
     )
+
+
+def _operator(world: World, table: WorldTable, seed: int) -> Operator | None:
+    """Who holds a stick and names places; None is nobody."""
+    operator = None if table.operator is None else operator_named(table.operator)(world, seed)
+    if not table.waypoints:
+        return operator
+    places = [
+        (w.said, Waypoint(np.array(w.position), w.sigma**2 * np.eye(2), w.time, name=w.name))
+        for w in table.waypoints
+    ]
+    return Names(places, operator)
 
 
 def _motion(name: str, walkers: list[Walker], grid: OccupancyGrid | None) -> Motion:

@@ -7,7 +7,7 @@ unreliable. They are made anew for each run, with the run's own random numbers.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import partial
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fgplan.errors import FgplanError, NoRoute
 from fgplan.measuring import Measurement
 from fgplan.routes import find_routes
-from fgplan.shared_control import JoySample, Joystick, Stick, read_joy
+from fgplan.shared_control import JoySample, Joystick, Stick, Waypoint, read_joy
 from fgplan.simulation.body import Body
 from fgplan.simulation.people import People
 from fgplan.simulation.world import Operator, Setup, World
@@ -176,6 +176,27 @@ class Replay:
         if self.stick.problem(latest) is not None:
             return ()
         return self.stick.wish(replace(latest, stamp=time), body.heading, self.period)
+
+
+class Names:
+    """Names places while the robot drives, each once, beside what another operator says.
+
+    Args:
+        places: When each is named [s], and the place.
+        beside: Who holds the stick; None is nobody.
+    """
+
+    def __init__(
+        self, places: Sequence[tuple[float, Waypoint]], beside: Operator | None = None
+    ) -> None:
+        self._left = deque(sorted(places, key=lambda place: place[0]))
+        self._beside = beside
+
+    def __call__(self, time: float, body: Body, people: People) -> tuple[Measurement, ...]:
+        said = list(() if self._beside is None else self._beside(time, body, people))
+        while self._left and self._left[0][0] <= time + 1e-9:
+            said.append(self._left.popleft()[1])
+        return tuple(said)
 
 
 def goal_of(world: World) -> Array:

@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from fgplan import scenario_file
-from fgplan.errors import Mistake
+from fgplan.errors import FgplanError, Mistake
 from fgplan.scenario import FieldOfView
+from fgplan.simulation.operators import operator_named
 from fgplan.simulation.sensor import Quality
 from fgplan.tables import Flag, Number, Point, Table, Text, Whole
 
@@ -64,6 +65,16 @@ class EventTable(Table):
     goal: Point
 
 
+class WaypointTable(Table):
+    """[[world.waypoints]]: a place that the operator names."""
+
+    name: Text
+    position: Point
+    sigma: Number
+    said: Number = 0.0
+    time: Number | None = None
+
+
 class DiscsTable(Table):
     """[world.discs]: round obstacles."""
 
@@ -92,6 +103,8 @@ class WorldTable(Table):
     sensor: SensorTable = Field(default_factory=SensorTable)
     events: list[EventTable] = Field(default_factory=list)
     discs: DiscsTable | None = None
+    operator: Text | None = None
+    waypoints: list[WaypointTable] = Field(default_factory=list)
 
 
 class _Root(Table):
@@ -143,6 +156,7 @@ def _senseless(table: WorldTable, regions: Sequence[str] | None) -> Iterable[Mis
         yield from _not_negative(f"{path}.events[{i}]", event, "time")
         if not np.all(np.isfinite(event.goal)):
             yield Mistake(f"{path}.events[{i}].goal", event.goal, "give finite numbers")
+    yield from _operator(path, table)
     if table.discs is not None:
         discs = table.discs
         yield from _not_negative(f"{path}.discs", discs, "count", "apart")
@@ -150,6 +164,22 @@ def _senseless(table: WorldTable, regions: Sequence[str] | None) -> Iterable[Mis
         if not 0 < discs.radius[0] <= discs.radius[1] < np.inf:
             mend = "give the smallest and the largest radius, above 0"
             yield Mistake(f"{path}.discs.radius", discs.radius, mend)
+
+
+def _operator(path: str, table: WorldTable) -> Iterable[Mistake]:
+    if table.operator is not None:
+        try:
+            operator_named(table.operator)
+        except FgplanError as error:
+            yield Mistake(f"{path}.operator", table.operator, str(error))
+    for i, place in enumerate(table.waypoints):
+        own = f"{path}.waypoints[{i}]"
+        yield from _not_negative(own, place, "said")
+        yield from _above(own, place, "sigma")
+        if not np.all(np.isfinite(place.position)):
+            yield Mistake(f"{own}.position", place.position, "give finite numbers")
+        if place.time is not None and not np.isfinite(place.time):
+            yield Mistake(f"{own}.time", place.time, "give a finite number, or none")
 
 
 def _people(path: str, group: PeopleTable) -> Iterable[Mistake]:

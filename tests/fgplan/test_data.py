@@ -12,9 +12,11 @@ import pytest
 from fgplan import scenario_file
 from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import Scenario
+from fgplan.shared_control import Stick, read_joy, write_joy
 
 DATA = Path(__file__).parents[2] / "data"
 SCENARIOS = sorted((DATA / "scenarios").glob("*.toml"))
+STICKS = sorted((DATA / "operators").glob("*.jsonl"))
 MAPS = sorted((DATA / "maps").glob("*.yaml"))
 
 
@@ -60,6 +62,17 @@ def test_every_map_is_what_the_script_makes(path: Path, make: ModuleType, tmp_pa
 def test_people_are_what_the_script_makes(name: str, make: ModuleType) -> None:
     text = (DATA / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
     assert text.endswith(make.people(name))
+
+
+@pytest.mark.parametrize("path", STICKS, ids=lambda path: path.stem)
+def test_every_stick_is_what_the_script_makes(path: Path, make: ModuleType, tmp_path: Path) -> None:
+    write_joy(tmp_path / path.name, make.sticks()[path.stem])
+    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+    found, refused = Stick().measurements(read_joy(path))
+    assert refused == ()
+    times = np.array([wish.time for wish in found])
+    assert len(times) > 20
+    assert np.sum(np.diff(times) > 1.0) == 1  # two bursts, and nothing in between
 
 
 def test_crowd_case_is_the_empty_case_with_five_people() -> None:

@@ -58,6 +58,20 @@ def test_a_change_that_is_none_is_refused() -> None:
     assert "KEY=VALUE" in typed("simulate", DOOR, "--set", "count", code=2)
 
 
+def test_somebody_holds_the_stick() -> None:
+    log = str(DATA.parent / "operators" / "right_then_left.jsonl")
+    for operator in ("left", log):
+        text = typed(
+            "simulate", str(DATA / "s6a_operator.toml"), "--planner", "straight", "--seeds", "1",
+            "--operator", operator, "--set", "world.time_limit=1.5", "--json", "-",
+        )  # fmt: skip
+        (line,) = json.loads(text)
+        assert operator in line["scenario"]
+    for name in ("adversery", "nothing.jsonl"):
+        text = typed("simulate", DOOR, "--operator", name, code=2)
+        assert "operator" in text
+
+
 def test_evaluate_crowdnav_prints_its_row() -> None:
     line = json.loads(
         typed("evaluate", "crowdnav", "--planner", "orca", "--cases", "3", "--json", "-")

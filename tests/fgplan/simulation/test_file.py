@@ -9,6 +9,8 @@ import pytest
 
 from fgplan.errors import ScenarioError
 from fgplan.scenario import Scenario
+from fgplan.shared_control import Joystick, Waypoint
+from fgplan.simulation.body import Body
 from fgplan.simulation.episode import run
 from fgplan.simulation.file import FromFile
 from fgplan.simulation.metrics import row
@@ -45,7 +47,9 @@ def small(tmp_path: Path) -> Path:
 
 def test_the_suite_is_there() -> None:
     told = {path.stem.partition("_")[0] for path in FILES} - {"hour"}
-    assert told == {"s1", "s2", "s3", "s4", "s5", "s7", "s8", "s10", "s11"}
+    assert told == {
+        "s1", "s2", "s3", "s4", "s5", "s6a", "s6b", "s6c", "s7", "s8", "s10", "s11"
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -141,3 +145,37 @@ def test_straight_drives_a_world(small: Path) -> None:
     numbers = row(run(world, Straight(world)))
     assert numbers["end"] == "goal"
     assert numbers["time"] == pytest.approx(4.4, abs=0.3)  # 3.7 m, and getting up to speed
+
+
+def test_an_operator_holds_the_stick_and_names_places(small: Path) -> None:
+    places = """
+[[world.waypoints]]
+name = "window"
+position = [2.0, 1.0]
+sigma = 0.3
+said = 0.2
+"""
+    small.write_text(small.read_text().replace("[world]", "[world]\noperator = 'left'") + places)
+    world = FromFile(small)(0)
+    body = Body(world.scenario, world.limits)
+    assert world.operator is not None
+    said = [world.operator(0.1 * k, body, world.people) for k in range(25)]
+    named = [(k, m) for k, items in enumerate(said) for m in items if isinstance(m, Waypoint)]
+    assert [(k, m.name) for k, m in named] == [(2, "window")]
+    sticks = [k for k, items in enumerate(said) if any(isinstance(m, Joystick) for m in items)]
+    assert 10 <= sticks[0] <= 12
+    assert FromFile(small, (("world.operator", "noisy"),))(0).operator is not None
+
+
+def test_an_operator_that_nobody_knows_is_a_mistake(small: Path) -> None:
+    changes = (
+        ("world.operator", "lefty"),
+        ("world.waypoints", "[{name='a', position=[1, inf], sigma=0}]"),
+    )
+    with pytest.raises(ScenarioError) as caught:
+        FromFile(small, changes).check()
+    text = str(caught.value)
+    assert "world.operator" in text
+    assert "left" in text
+    assert "world.waypoints[0].position" in text
+    assert "world.waypoints[0].sigma" in text
