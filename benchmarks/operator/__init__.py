@@ -324,8 +324,18 @@ def s6c(seeds: int, progress: Progress | None = None) -> Iterator[dict[str, Any]
         }
 
 
-def rows(short: bool = False, progress: Progress | None = None) -> Iterator[dict[str, Any]]:
-    """Yields all rows."""
-    yield from s6a(2 if short else 20, progress)
-    yield from s6b(3 if short else 200, progress)
-    yield from s6c(1 if short else 20, progress)
+CASES: dict[str, tuple[Callable[[int, Progress | None], Iterator[dict[str, Any]]], int, int]] = {
+    "S6a": (s6a, 20, 2),
+    "S6b": (s6b, 200, 3),
+    "S6c": (s6c, 20, 1),
+}
+"""What drives each, and with how many seeds: in full and in short."""
+
+
+def rows(
+    short: bool = False, progress: Progress | None = None, case: str | None = None
+) -> Iterator[dict[str, Any]]:
+    """Yields all rows, or those of one case."""
+    for name, (drive, full, few) in CASES.items():
+        if case in (None, name):
+            yield from drive(few if short else full, progress)

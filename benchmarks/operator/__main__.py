@@ -1,6 +1,8 @@
 """`python -m benchmarks.operator` drives S6a, S6b and S6c: by stick, against a stick, to places.
 
-`--json -` prints JSON alone, `--short` is for continuous integration.
+`--json -` prints JSON alone, `--short` is for continuous integration, `--case` drives one of them.
+`--minutes 60` holds a stick for so long instead, and prints what is kept of it and what a step
+costs.
 """
 
 from __future__ import annotations
@@ -15,13 +17,16 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from benchmarks.operator import rows
+from benchmarks.operator import CASES, rows
+from benchmarks.operator.endurance import held
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Drive, and print a table for each case."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.operator", description=__doc__)
     parser.add_argument("--short", action="store_true", help="about a minute")
+    parser.add_argument("--case", choices=tuple(CASES), help="this one alone")
+    parser.add_argument("--minutes", type=float, help="hold a stick for so long instead")
     parser.add_argument("--json", metavar="FILE", help="write JSON to FILE; - is standard output")
     options = parser.parse_args(arguments)
     console = Console(stderr=True)
@@ -33,14 +38,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 tasks[what] = bars.add_task(what, total=total)
             bars.update(tasks[what], completed=done)
 
-        found = list(rows(options.short, tell))
+        if options.minutes is None:
+            found = list(rows(options.short, tell, options.case))
+        else:
+            found = list(held(options.minutes, tell))
     text = json.dumps({"rows": found}, allow_nan=False)
     if options.json == "-":
         sys.stdout.write(text + "\n")
         return
     if options.json:
         Path(options.json).write_text(text + "\n", encoding="utf-8")
-    for case in ("S6a", "S6b", "S6c"):
+    for case in dict.fromkeys(row["case"] for row in found):
         mine = [row for row in found if row["case"] == case]
         names = [name for name in mine[0] if not name.endswith("_ci") and name != "case"]
         print(f"\n{case}\n| {' | '.join(names)} |\n|{'---|' * len(names)}")

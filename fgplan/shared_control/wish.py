@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fgplan.conditioning import log_likelihood, nearest
+from fgplan.measuring import Reading
 from fgplan.scenario import Scenario
 from fgplan.trajectory import Trajectory
 
@@ -29,6 +30,8 @@ class Deviation:
 def deviation(scenario: Scenario, plan: Trajectory) -> Deviation | None:
     """What a plan for now leaves of the operator's wishes from now on; None where there are none.
 
+    A place without a time that the plan still comes nearer to at its end is not left behind yet.
+
     Args:
         scenario: With its data.
         plan: What will be driven, times from now.
@@ -38,7 +41,7 @@ def deviation(scenario: Scenario, plan: Trajectory) -> Deviation | None:
         reading
         for measurement in scenario.data
         for reading in measurement.readings
-        if reading.time is None or now <= reading.time <= now + end
+        if (_passed(reading, plan) if reading.time is None else now <= reading.time <= now + end)
     ]
     if not readings:
         return None
@@ -51,3 +54,8 @@ def deviation(scenario: Scenario, plan: Trajectory) -> Deviation | None:
             wished = plan.positions[0] + t * reading.value
         metres = max(metres, float(np.hypot(*(where - wished))))
     return Deviation(metres, -log_likelihood(readings, plan, now))
+
+
+def _passed(reading: Reading, plan: Trajectory) -> bool:
+    """Whether a plan comes no nearer to a place at its end."""
+    return nearest(reading, plan) < float(plan.times[-1]) - 1e-6

@@ -89,26 +89,28 @@ def test_the_robot_commits_to_the_operators_corridor_and_does_not_turn_back():
 def test_the_choice_is_the_closed_form():
     """log w_A − log w_B = −β (J_A − J_B) ± commitment + log p(z | A) − log p(z | B), each datum on
     the plans that A and B had at its time."""
-    said = []
+    said, plans = [], {"A": {}, "B": {}}
 
     def say(t, position):
+        for name, past in drive.planner.memory.operated.past.of.items():
+            plans[name].update(past.plans)
         new = held(-30, 0.4, 1.2)(t, position)
         said.extend(new)
         return new
 
-    drive = Drive(planner(), say).run(2.4)
-    decision, memory = drive.decisions[-1], drive.planner.memory
+    drive = Drive(planner(), say)
+    drive.run(2.4)
+    decision = drive.decisions[-1]
     assert decision.mixture is not None
     a, b = (next(c for c in decision.mixture.components if c.label == n) for n in ("A", "B"))
     readings = [r for m in said for r in m.readings]
     likelihood = {}
-    for label in ("A", "B"):
-        plans = memory.operated.past.of[label].plans
-        starts = np.array([start for start, _ in plans])
-        which = [np.searchsorted(starts, r.said + 1e-6, side="right") - 1 for r in readings]
+    for label, own in plans.items():
+        starts = np.array(sorted(own))
+        which = starts[[np.searchsorted(starts, r.said + 1e-6, side="right") - 1 for r in readings]]
         likelihood[label] = sum(
-            log_likelihood((r,), plans[k][1], plans[k][0])
-            for r, k in zip(readings, which, strict=True)
+            log_likelihood((r,), own[start], start)
+            for r, start in zip(readings, which, strict=True)
         )
     assert likelihood["A"] != pytest.approx(likelihood["B"], abs=1)
     followed = drive.labels[-2]
