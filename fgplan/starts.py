@@ -6,7 +6,7 @@ way, and wide arcs among many people.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from fgplan.timing import timed
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
+
+Starts = Callable[[Scenario, Belief, Trajectory, Array], tuple[Start, ...]]
+"""Starts for one global plan; the arguments are those of `starts`."""
 
 WAIT_SHARE = 0.25
 """Share of the preferred speed at which a robot that waits creeps on."""
@@ -45,6 +48,13 @@ def starts(scenario: Scenario, belief: Belief, plan: Trajectory, path: Array) ->
     candidates += _arcs(scenario, belief, plan)
     clear = [start for start in candidates if _through_free_space(scenario, start.robot)]
     return (Start("plan", plan), *clear)
+
+
+def only_plan(
+    scenario: Scenario, belief: Belief, plan: Trajectory, path: Array
+) -> tuple[Start, ...]:
+    """The plan alone; the arguments are those of `starts`."""
+    return (Start("plan", plan),)
 
 
 def coast(scenario: Scenario) -> Trajectory:

@@ -188,6 +188,7 @@ class Planner:
                 settings.commitment,
                 settings.wait,
                 others,
+                settings.starts,
             )
             proposed.extend(found)
             return operated.recalled(found, scenario.now, memory.followed)

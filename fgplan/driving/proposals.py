@@ -14,7 +14,7 @@ from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.products import SEPARATOR
 from fgplan.scenario import Scenario
-from fgplan.starts import starts
+from fgplan.starts import Starts, starts
 from fgplan.timing import along, speed_along, timed, waiting_law
 
 WAITING = ", waiting"
@@ -64,6 +64,7 @@ def propose(
     commitment: float,
     wait: float,
     others: Sequence[Hypothesis] = (),
+    tries: Starts = starts,
 ) -> tuple[Hypothesis, ...]:
     """w_i = softmax(−β J_i + log of a stated weight − commitment, unless i is followed).
 
@@ -75,6 +76,7 @@ def propose(
         commitment: [nats].
         wait: How long to wait for a blockage at least [s]; 0 proposes no waiting.
         others: Hypotheses from elsewhere; their `log_prior` stands beside −β (J_i − min J).
+        tries: Where the optimiser starts from on a route.
     """
     if not ways and not others:
         return tuple(hypothesise(scenario.replace(goal=None, plans=()), belief))
@@ -83,7 +85,7 @@ def propose(
     found: list[Hypothesis] = []
     for way, cost in ways:
         score = way.log_weight - beta * (cost.total - least)
-        found.append(_pushing_on(scenario, belief, way, cost, score))
+        found.append(_pushing_on(scenario, belief, way, cost, score, tries))
         reach = scenario.robot.preferred_speed * scenario.density.horizon
         if wait > 0 and cost.blocked_at < reach:
             # Waiting for those who block the way is in J of the route already.
@@ -106,7 +108,7 @@ def route(label: str) -> str:
 
 
 def _pushing_on(
-    scenario: Scenario, belief: Belief, way: Way, cost: Price, score: float
+    scenario: Scenario, belief: Belief, way: Way, cost: Price, score: float, tries: Starts
 ) -> Hypothesis:
     robot = scenario.robot
     plan = timed(
@@ -117,8 +119,8 @@ def _pushing_on(
         times=scenario.density.times,
         end_speed=scenario.goal_speed,
     )
-    tries = starts(scenario, belief, plan, way.path)
-    return Hypothesis(way.label, score, plan, cost.total, tries, way.path)
+    found = tries(scenario, belief, plan, way.path)
+    return Hypothesis(way.label, score, plan, cost.total, found, way.path)
 
 
 def _waiting(scenario: Scenario, way: Way, cost: Price, score: float, pause: float) -> Hypothesis:

@@ -12,6 +12,7 @@ from fgplan.driving.routing import Routing
 from fgplan.driving.tracking import Tracking
 from fgplan.inference import MAP, Inference
 from fgplan.solver import Solver
+from fgplan.starts import Starts, starts
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Settings:
         stall: A robot that has not come nearer to its goal for this long makes no progress [s].
         lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
         routing, tracking, pricing, guard, intake: See there.
+        starts: Where the optimiser starts from on a route; see `fgplan.starts`.
         solver, select, inference: As `fgplan.plan` takes them.
     """
 
@@ -47,6 +49,7 @@ class Settings:
     pricing: Pricing = field(default_factory=Pricing)
     guard: Guard = field(default_factory=Guard)
     intake: Intake = field(default_factory=Intake)
+    starts: Starts = starts
     solver: Solver | None = None
     select: selection.Rule = selection.height
     inference: Inference = field(default_factory=MAP)

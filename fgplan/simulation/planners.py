@@ -17,6 +17,7 @@ from fgplan.simulation.layered import Layered
 from fgplan.simulation.peers import OrcaRobot, Straight
 from fgplan.simulation.policy import Policy
 from fgplan.simulation.world import World
+from fgplan.starts import only_plan
 
 Maker = Callable[[World], Policy]
 """Makes a policy for one run; of a world it may know the scenario, the rules and the limits."""
@@ -26,6 +27,7 @@ WHOLE = Settings(deadline=None)
 PLANNERS: dict[str, Maker] = {
     "fgplan": Fgplan(),
     "fgplan-one-hypothesis": Fgplan(count=1),
+    "fgplan-one-start": Fgplan(settings=replace(WHOLE, starts=only_plan)),
     "fgplan-no-interaction": Fgplan(density={"alpha": 0.0}),
     "fgplan-no-contact": Fgplan(density={"contact_sigma": np.inf}),
     "fgplan-predicted": Fgplan(crowd="predicted"),
