@@ -25,6 +25,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+NOT_CLEAR = "its command is not clear of people and walls"
+"""What is wrong with a plan that passes the hard check, but not as it would be executed now."""
+
+
 class Tier(IntEnum):
     """How safe a command is, best first."""
 
@@ -125,7 +129,7 @@ class Judge:
         found = check(self.scenario, robot, people)
         tier = self._own(robot, people).tier
         if tier > Tier.TOUCHING_NOBODY:
-            problems = (*found.problems, "its command is not clear of people and walls")
+            problems = (*found.problems, NOT_CLEAR)
             return replace(found, problems=problems)
         return replace(found, grade=int(tier))
 

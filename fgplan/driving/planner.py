@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading, visible
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
-from fgplan.driving.guard import Guarded, Judge, Tier
+from fgplan.driving.guard import NOT_CLEAR, Guarded, Judge, Tier
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
@@ -212,15 +212,8 @@ class Planner:
         except NoPlan as error:
             memory = replace(memory, mixture=None)
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
-        chosen = _chosen(mixture)
-        others = Expected(
-            scenario.density.times,
-            np.stack([person.states for person in chosen.crowd.values()], axis=1)
-            if chosen.crowd
-            else np.zeros((len(scenario.density.times), 0, 4)),
-            belief.radii,
-        )
-        safe = judge.command(chosen.robot, others)
+        chosen = _chosen(mixture, memory.followed, judge)
+        safe = judge.command(chosen.robot, _expected(chosen, judge))
         label = _route_of(chosen.label, memory.followed)
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
         outcome, reason = self._outcome(memory, before, chosen, safe, label)
@@ -390,11 +383,33 @@ def _reached(scenario: Scenario, settings: Settings) -> bool:
     return float(np.hypot(*(scenario.goal - scenario.robot.position))) <= settings.goal_tolerance
 
 
-def _chosen(mixture: Mixture) -> Component:
-    """The selected component; where none is safe, the one that is safe longest."""
-    if mixture.best is not None:
-        return mixture.best
-    return max(mixture.components, key=lambda c: c.check.first_contact)
+def _chosen(mixture: Mixture, followed: str | None, judge: Judge) -> Component:
+    """The selected component; where none is safe, the one that is safe longest.
+
+    A route is left for a more probable one, not because the next command on it is not clear while
+    another command near it is: else robot and people who meet would flip the route at every step.
+    """
+    best = mixture.best
+    if best is None:
+        return max(mixture.components, key=lambda c: c.check.first_contact)
+    if followed is None or _route_of(best.label, followed) == followed:
+        return best
+    for component in mixture.components[: mixture.selected]:
+        stays = _route_of(component.label, followed) == followed
+        if stays and component.check.problems == (NOT_CLEAR,):
+            command = judge.command(component.robot, _expected(component, judge))
+            if command.tier is Tier.AVOIDING:
+                return component
+    return best
+
+
+def _expected(component: Component, judge: Judge) -> Expected:
+    """The people of a plan."""
+    times, radii = judge.scenario.density.times, judge.belief.radii
+    if not component.crowd:
+        return Expected(times, np.zeros((len(times), 0, 4)), radii)
+    states = np.stack([person.states for person in component.crowd.values()], axis=1)
+    return Expected(times, states, radii)
 
 
 def _route_of(label: str, followed: str | None) -> str:
