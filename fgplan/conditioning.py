@@ -287,7 +287,7 @@ def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) ->
     if not past and known is None:
         return None
     means = [_mean(level, h) for h in hypotheses]
-    z = np.array([[_deviation(r, mean, t, now) for t, r in past] for mean in means])
+    z = np.array([_deviations(past, mean, now) for mean in means])
     return remembered(
         _process(level, scenario.density),
         [-t for t, _ in past],
@@ -366,10 +366,20 @@ def _matrix(reading: Reading) -> Array:
     return np.eye(2, 4, k=0 if reading.quantity == "position" else 2)
 
 
-def _deviation(reading: Reading, mean: Course | None, t: float, now: float = np.nan) -> Array:
-    """A reading less the mean at that time, shape (2,): with `now`, the mean there was when it
-    was said."""
+def _deviation(reading: Reading, mean: Course | None, t: float) -> Array:
+    """A reading less the mean at its time, shape (2,)."""
     if mean is None:
         return np.asarray(reading.value, dtype=float)
-    said = None if reading.said is None or np.isnan(now) else reading.said - now
-    return np.asarray(reading.value - _matrix(reading) @ mean.at(t, said))
+    return np.asarray(reading.value - _matrix(reading) @ mean.at(t))
+
+
+def _deviations(past: Sequence[Stamped], mean: Course | None, now: float) -> Array:
+    """Readings less the mean that there was when they were said, shape (n, 2)."""
+    values = np.array([reading.value for _, reading in past], dtype=float).reshape(-1, 2)
+    if mean is None or not past:
+        return values
+    times = np.array([t for t, _ in past])
+    said = np.array([t if r.said is None else r.said - now for t, r in past])
+    first = np.array([0 if r.quantity == "position" else 2 for _, r in past])
+    states = mean.at(times, said)
+    return np.asarray(values - np.take_along_axis(states, first[:, None] + np.arange(2), axis=1))

@@ -161,7 +161,7 @@ def calibration(
     return float(error), tuple(bins)
 
 
-def drive(count: int, hand: Hand, seed: int) -> Run:
+def drive(count: int, hand: Hand = HANDS[0], seed: int = 0) -> Run:
     """One drive to a random one of the candidates."""
     rng = np.random.default_rng([seed, count])
     grid, candidates = room(rng, count)

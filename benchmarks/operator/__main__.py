@@ -1,8 +1,8 @@
 """`python -m benchmarks.operator` drives S6a, S6b and S6c: by stick, against a stick, to places.
 
 `--json -` prints JSON alone, `--short` is for continuous integration, `--case` drives one of them.
-`--minutes 60` holds a stick for so long instead, and prints what is kept of it and what a step
-costs.
+`--gaps SEEDS` compares the choice in S6a with the closed form instead, where one corridor costs
+more; `--minutes 60` holds a stick for so long, and prints what is kept of it and what a step costs.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rich.progress import Progress, TaskID
 
 from benchmarks.operator import CASES, rows
 from benchmarks.operator.endurance import held
+from benchmarks.operator.gaps import gaps
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -26,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.operator", description=__doc__)
     parser.add_argument("--short", action="store_true", help="about a minute")
     parser.add_argument("--case", choices=tuple(CASES), help="this one alone")
+    parser.add_argument("--gaps", type=int, metavar="SEEDS", help="S6a with corridors not alike")
     parser.add_argument("--minutes", type=float, help="hold a stick for so long instead")
     parser.add_argument("--json", metavar="FILE", help="write JSON to FILE; - is standard output")
     options = parser.parse_args(arguments)
@@ -38,10 +40,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 tasks[what] = bars.add_task(what, total=total)
             bars.update(tasks[what], completed=done)
 
-        if options.minutes is None:
-            found = list(rows(options.short, tell, options.case))
-        else:
+        if options.minutes is not None:
             found = list(held(options.minutes, tell))
+        elif options.gaps is not None:
+            found = list(gaps(options.gaps, tell))
+        else:
+            found = list(rows(options.short, tell, options.case))
     text = json.dumps({"rows": found}, allow_nan=False)
     if options.json == "-":
         sys.stdout.write(text + "\n")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tracemalloc
+import resource
 from collections.abc import Callable, Iterator
 from time import process_time
 from typing import Any
@@ -44,32 +44,28 @@ def _held(
     listener = GoalInference(scenario, candidates)
     steps = round(60 * minutes / PERIOD)
     spent: list[float] = []
-    tracemalloc.start()
-    try:
-        for k in range(steps):
-            angle = 2 * np.pi * k * PERIOD / ROUND
-            ahead = np.array([-np.sin(angle), np.cos(angle)])
-            speed = 2 * np.pi * RADIUS / ROUND
-            wish = np.clip(speed * ahead + rng.normal(0, 0.1, 2), -1, 1)
-            said = STICK.wish(JoySample(k * PERIOD, (wish[1], wish[0]), ()), 0.0, PERIOD)
-            place = RADIUS * np.array([np.cos(angle), np.sin(angle)])
-            began = process_time()
-            listener.step(Observation(k * PERIOD, place, speed * ahead, operator=said))
-            spent.append(process_time() - began)
-            if progress is not None:
-                progress(f"stick held, sigma {sigma:g}", k + 1, steps)
-            if (k + 1) % (steps // PARTS) == 0:
-                operated = listener.operated
-                yield {
-                    "case": "held",
-                    "sigma": sigma,
-                    "minutes": (k + 1) * PERIOD / 60,
-                    "readings_kept": sum(len(m.readings) for m in operated.data),
-                    "plans_kept": sum(len(past.plans) for past in operated.past.of.values()),
-                    "memory_mb": tracemalloc.get_traced_memory()[0] / 1e6,
-                    "step_ms_p50": 1e3 * float(np.median(spent)),
-                    "step_ms_p99": 1e3 * float(np.quantile(spent, 0.99)),
-                }
-                spent.clear()
-    finally:
-        tracemalloc.stop()
+    for k in range(steps):
+        angle = 2 * np.pi * k * PERIOD / ROUND
+        ahead = np.array([-np.sin(angle), np.cos(angle)])
+        speed = 2 * np.pi * RADIUS / ROUND
+        wish = np.clip(speed * ahead + rng.normal(0, 0.1, 2), -1, 1)
+        said = STICK.wish(JoySample(k * PERIOD, (wish[1], wish[0]), ()), 0.0, PERIOD)
+        place = RADIUS * np.array([np.cos(angle), np.sin(angle)])
+        began = process_time()
+        listener.step(Observation(k * PERIOD, place, speed * ahead, operator=said))
+        spent.append(process_time() - began)
+        if progress is not None:
+            progress(f"stick held, sigma {sigma:g}", k + 1, steps)
+        if (k + 1) % (steps // PARTS) == 0:
+            operated = listener.operated
+            yield {
+                "case": "held",
+                "sigma": sigma,
+                "minutes": (k + 1) * PERIOD / 60,
+                "readings_kept": sum(len(m.readings) for m in operated.data),
+                "plans_kept": sum(len(past.plans) for past in operated.past.of.values()),
+                "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+                "step_ms_p50": 1e3 * float(np.median(spent)),
+                "step_ms_p99": 1e3 * float(np.quantile(spent, 0.99)),
+            }
+            spent.clear()
