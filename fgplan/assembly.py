@@ -298,15 +298,20 @@ class Assembly:
         self.hold_fixed(self._held_diagonal, self._held_upper)
 
     @cached_property
-    def chains(self) -> Chains:
-        """The constant Hessians in a band that has room for all that is not far."""
-        linked = (self._upper != 0).any(axis=(0, 1))
+    def linked(self) -> NDArray[np.bool_]:
+        """Which coordinates may be linked to which of the next step by what is not far, (D, D)."""
+        linked: NDArray[np.bool_] = np.any(self._upper, axis=(0, 1))
         for wired in self.nonlinear:
             for at_row, into_rows, _ in wired.runs:
                 for at_column, into_columns, _ in wired.runs:
                     if wired.far is None and at_row < at_column:
                         linked[into_rows, into_columns] = True
-        return Chains.of(self._held_diagonal, self._held_upper, self.order, linked)
+        return linked
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The constant Hessians in a band that has room for all that is not far."""
+        return Chains.of(self._held_diagonal, self._held_upper, self.order, self.linked)
 
     @cached_property
     def dimension(self) -> int:

@@ -204,7 +204,7 @@ def build(
         factors: The user's own GTSAM factors on `fgplan.keys`, added to every hypothesis.
     """
     extra = tuple(factors)
-    if _touches_crowd(extra, scenario.density.steps):
+    if touches_crowd(extra, scenario.density.steps):
         # The user counts on all people being in the crowd variable.
         density = replace(scenario.density, reach=np.inf)
         scenario = scenario.replace(density=density)
@@ -256,7 +256,8 @@ def _kinematic(scenario: Scenario, now: Array, count: int, rng: np.random.Genera
     return robot.model.sample(robot, scenario.density, now, count, rng)
 
 
-def _touches_crowd(factors: Iterable[gtsam.NonlinearFactor], steps: int) -> bool:
+def touches_crowd(factors: Iterable[gtsam.NonlinearFactor], steps: int) -> bool:
+    """Whether some of the user's factors are on the people."""
     crowd = {keys.crowd(k) for k in range(steps + 1)}
     return any(key in crowd for factor in factors for key in factor.keys())
 

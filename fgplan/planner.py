@@ -21,7 +21,7 @@ from fgplan.hypothesis import Hypothesis
 from fgplan.inference import MAP, Inference, Progress, named
 from fgplan.inference.laplace import QUICK
 from fgplan.mixture import Action, Component, Mixture
-from fgplan.model import build
+from fgplan.model import build, touches_crowd
 from fgplan.obeying import obeying
 from fgplan.products import crossed
 from fgplan.safety import Checker, People, brake, check
@@ -121,6 +121,7 @@ def plan(
         before,
         end - RESERVE * (deadline or 0.0),
         lambda i, solution: solving[i].check(solution).fine,
+        _held(scenario, belief, assembly, proposed),
     )
     solved = perf_counter()
 
@@ -156,6 +157,19 @@ def plan(
         bound = f"their bounds are over {NEGLIGIBLE:g} nats below the best"
         notes.append(f"{every - len(proposed)} of {every} combinations left out: {bound}")
     return replace(mixture, warnings=(*sorted(notes), *mixture.warnings))
+
+
+def _held(
+    scenario: Scenario, belief: Belief, assembly: Assembly, hypotheses: Sequence[Hypothesis]
+) -> Assembly | None:
+    """The density with people held at their prediction, where people are variables, some
+    hypothesis has starts to choose from, and no factor of the user's is on the people."""
+    model = assembly.models[0]
+    if "crowd" not in model.columns or all(len(h.starts) == 1 for h in hypotheses):
+        return None
+    if touches_crowd(model.extra, scenario.density.steps):
+        return None
+    return Assembly(build(scenario.replace(crowd="predicted"), belief, hypotheses, model.extra))
 
 
 def _decide(

@@ -16,11 +16,14 @@ from fgplan.crowd import Belief
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.mixture import Mixture
 from fgplan.scenario import Scenario
+from fgplan.sketch import sketched
 from fgplan.solver import Solution, Solver, Stop
 from fgplan.trajectory import Trajectory, hermite
 
 Array = NDArray[np.float64]
 
+SKETCHING = 0.5
+"""Share of what is left of the time that may be spent on sketches."""
 AT_ONCE = 8
 """Hypotheses solved together when many are bounded."""
 
@@ -67,6 +70,7 @@ def search(
     warm: Sequence[Start] = (),
     until: float = np.inf,
     usable: Callable[[int, Solution], bool] = lambda which, solution: True,
+    held: Assembly | None = None,
 ) -> Search:
     """Solve the starts of all hypotheses.
 
@@ -82,36 +86,62 @@ def search(
         warm: Starts from the previous plan; each hypothesis takes the best of them.
         until: When to stop, on the clock of `time.perf_counter` [s].
         usable: Whether an optimum of a hypothesis may be followed, as far as the caller knows.
+        held: The density with all people held at their prediction: starts are solved there first
+            (`fgplan.sketch`), and only their distinct ends, and the plan itself, are solved among
+            people who react. The others are where nothing else is of use.
     """
-    indices = range(len(hypotheses))
-    queue = [_queue(assembly, i, h, warm) for i, h in enumerate(hypotheses)]
+    indices, limited = range(len(hypotheses)), bool(np.isfinite(until))
     found: list[Found] = []
     dropped: set[int] = set()
     late: set[int] = set()
-    for turn in _turns(max(map(len, queue)), np.isfinite(until)):
-        starts = [start for i in indices if i not in dropped for start in queue[i][turn]]
-        if turn.start > 0 and perf_counter() >= until:
+    for turn, queue in enumerate(_turns(assembly, hypotheses, warm, until, held)):
+        starts = [start for i in indices if i not in dropped for start in queue[i]]
+        if turn > 0 and perf_counter() >= until:
             late = {start.which for start in starts}
             break
         if starts:
             found = _joined(found, _solve(assembly, solver, starts + _best(found, dropped), until))
-        if turn.start == 0 and np.isfinite(until) and len(hypotheses) > 1:
+        if turn == 0 and limited and len(hypotheses) > 1:
             best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in found)
             dropped = {i for i in indices if hypotheses[i].log_prior - _bound(assembly, i) < best}
     while perf_counter() < until:
         again = _needed(found, usable)
+        again += [] if held is None else _untried(assembly, hypotheses, found, usable, dropped)
         if not again:
             break
         found = _joined(found, _solve(assembly, solver, again, until))
     return Search(tuple(found), frozenset(dropped), _unended(found) | late)
 
 
-def _turns(longest: int, limited: bool) -> Iterator[slice]:
+def _turns(
+    assembly: Assembly,
+    hypotheses: Sequence[Hypothesis],
+    warm: Sequence[Start],
+    until: float,
+    held: Assembly | None,
+) -> Iterator[list[list[_Begin]]]:
     """Which starts of each hypothesis are solved together: all, or 1, 3 and then the rest."""
-    edges = [0, 1, 4, longest] if limited else [0, longest]
-    for a, b in pairwise(edges):
+    limited = np.isfinite(until)
+    warmest = [_warmest(assembly, i, warm) for i in range(len(hypotheses))]
+    queue = warmest
+    if held is None:
+        queue = [w + _own(assembly, i, hypotheses[i], len(w)) for i, w in enumerate(warmest)]
+    else:
+        if limited and any(warmest):
+            yield warmest
+            queue = [[] for _ in hypotheses]
+        now = perf_counter()
+        ends = sketched(assembly, held, hypotheses, now + SKETCHING * (until - now))
+        queue = [
+            before
+            + [_Begin(i, 1 + rank, end.label, end.state) for rank, end in enumerate(ends[i])]
+            + _own(assembly, i, h, 1 + len(h.starts))[:1]
+            for i, (before, h) in enumerate(zip(queue, hypotheses, strict=True))
+        ]
+    longest = max(map(len, queue))
+    for a, b in pairwise([0, 1, 4, longest] if limited else [0, longest]):
         if a < longest:
-            yield slice(a, b)
+            yield [own[a:b] for own in queue]
 
 
 def worth_solving(
@@ -136,7 +166,7 @@ def worth_solving(
         some = [i for i in order[at : at + AT_ONCE] if reach[i] >= best]
         if not some:
             break
-        starts = [_queue(assembly, i, hypotheses[i], ())[0] for i in some]
+        starts = [_own(assembly, i, hypotheses[i])[0] for i in some]
         for f in _solve(assembly, solver, starts):
             score = hypotheses[f.which].log_prior - _score(assembly, f)
             best = max(best, score if np.isfinite(score) else -np.inf)
@@ -194,16 +224,16 @@ def _from_now(
     }
 
 
-def _queue(
-    assembly: Assembly, i: int, hypothesis: Hypothesis, warm: Sequence[Start]
-) -> list[_Begin]:
-    """The starts of one hypothesis, the best of the warm ones first."""
+def _own(assembly: Assembly, i: int, hypothesis: Hypothesis, first: int = 0) -> list[_Begin]:
+    """The starts of one hypothesis, ranked from `first` on."""
     model = assembly.models[i]
-    own = [(start.label, model.initial(start)) for start in hypothesis.starts]
-    return [_Begin(i, rank, *start) for rank, start in enumerate(_warmest(assembly, i, warm) + own)]
+    return [
+        _Begin(i, first + rank, start.label, model.initial(start))
+        for rank, start in enumerate(hypothesis.starts)
+    ]
 
 
-def _warmest(assembly: Assembly, i: int, warm: Sequence[Start]) -> list[tuple[str, Array]]:
+def _warmest(assembly: Assembly, i: int, warm: Sequence[Start]) -> list[_Begin]:
     """The warm start with the lowest energy under hypothesis i."""
     if not warm:
         return []
@@ -212,7 +242,7 @@ def _warmest(assembly: Assembly, i: int, warm: Sequence[Start]) -> list[tuple[st
     if not np.isfinite(energy).any():
         return []
     best = int(np.nanargmin(np.where(np.isfinite(energy), energy, np.nan)))
-    return [(warm[best].label, states[best])]
+    return [_Begin(i, 0, warm[best].label, states[best])]
 
 
 def _solve(
@@ -259,13 +289,32 @@ def _resumed(found: Found) -> _Begin:
 def _needed(found: Sequence[Found], usable: Callable[[int, Solution], bool]) -> list[_Begin]:
     """Starts that were given up, of the hypotheses in which nothing else is of use."""
     given_up = [f for f in found if f.solution.stop is Stop.GIVEN_UP]
-    ended = [f for f in found if f.solution.stop not in (Stop.GIVEN_UP, Stop.MERGED)]
-    served = {
-        i
-        for i in {f.which for f in given_up}
-        if any(f.which == i and usable(i, f.solution) for f in ended)
-    }
+    served = {i for i in {f.which for f in given_up} if _is_served(i, found, usable)}
     return [_resumed(f) for f in given_up if f.which not in served]
+
+
+def _untried(
+    assembly: Assembly,
+    hypotheses: Sequence[Hypothesis],
+    found: Sequence[Found],
+    usable: Callable[[int, Solution], bool],
+    dropped: set[int],
+) -> list[_Begin]:
+    """Starts that were only sketched, of the hypotheses in which nothing else is of use."""
+    tried = {(f.which, f.rank) for f in found}
+    return [
+        start
+        for i, hypothesis in enumerate(hypotheses)
+        if i not in dropped and not _is_served(i, found, usable)
+        for start in _own(assembly, i, hypothesis, 1 + len(hypothesis.starts))
+        if (i, start.rank) not in tried
+    ]
+
+
+def _is_served(i: int, found: Sequence[Found], usable: Callable[[int, Solution], bool]) -> bool:
+    """Whether a start of a hypothesis ended where it may be followed."""
+    ended = (f for f in found if f.solution.stop not in (Stop.GIVEN_UP, Stop.MERGED))
+    return any(f.which == i and usable(i, f.solution) for f in ended)
 
 
 def _score(assembly: Assembly, found: Found) -> float:

@@ -140,3 +140,23 @@ def test_a_chain_without_numbers_leaves_the_others_alone(bad):
     x, definite = Chains.of(diagonal, upper).solve(rhs)
     np.testing.assert_array_equal(definite, [True, False, True])
     np.testing.assert_array_equal(x[[0, 2]], expected[[0, 2]])
+
+
+def test_an_order_that_brings_links_together_narrows_the_band_and_changes_no_number():
+    m, S, B = 5, 6, 2  # positions, then velocities, each linked to its own in the next step
+    rng = np.random.default_rng(3)
+    linked = np.kron(np.ones((2, 2)), np.eye(m)).astype(bool)
+    diagonal, upper = np.zeros((B, S, 2 * m, 2 * m)), np.zeros((B, S - 1, 2 * m, 2 * m))
+    upper[:] = 0.1 * rng.normal(size=upper.shape) * linked
+    diagonal[:] = rng.normal(size=diagonal.shape)
+    diagonal = diagonal @ np.swapaxes(diagonal, -1, -2) + 2 * np.eye(2 * m)
+    order = np.arange(2 * m).reshape(m, 2).T.ravel()
+    rhs = rng.normal(size=(B, S, 2 * m))
+    chains = Chains.of(diagonal, upper, order, linked)
+    assert chains.data.shape[-1] == 2 * m + 2  # one block, and what lies between neighbours
+    x, definite = chains.solve(rhs)
+    assert definite.all()
+    np.testing.assert_allclose(x, Chains.of(diagonal, upper).solve(rhs)[0], rtol=1e-9, atol=1e-12)
+    for b in range(B):
+        expected = np.linalg.solve(dense(diagonal[b], upper[b]), rhs[b].ravel())
+        np.testing.assert_allclose(x[b].ravel(), expected, rtol=1e-9, atol=1e-12)
