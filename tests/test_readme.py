@@ -11,6 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 from fgplan import cli
+from fgplan.inference import Inference
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -80,6 +81,39 @@ def test_demo_prints_what_the_readme_shows(elsewhere: Path) -> None:
         assert got[row] == pytest.approx(numbers, abs=0.02), row
     corridors = r"Without people corridor (\w+) .* it is (\w+) "
     assert re.findall(corridors, printed) == re.findall(corridors, shown)
+
+
+def test_the_table_of_inference_is_that_of_its_benchmark() -> None:
+    """Its form and its names; what has an exact reference, two modes, is measured once more."""
+    from benchmarks.inference import SEEDS, measure, methods, table
+    from benchmarks.inference.cases import reference, two_modes
+
+    known: dict[str, list[tuple[Inference, bool]]] = {}
+    for name, method, solves in methods(False):
+        known.setdefault(name, []).append((method, solves))
+    case = two_modes()
+    truth = reference(case, False)
+
+    def errors(name: str, what: str) -> list[str]:
+        rows = [measure(case, truth, name, *each, SEEDS) for each in known[name]]
+        return [f"{getattr(row, what):.2g}" for row in rows]
+
+    shown = README.split("<!-- printed by: python -m benchmarks.inference -->\n")[1].split("\n\n")[
+        0
+    ]
+    head, rule, *lines = shown.splitlines()
+    assert [head, rule] == table([])
+    cases = set()
+    for line in lines:
+        of, budget, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        cases.add(of)
+        assert float(budget.removesuffix(" s")) > 0
+        for cell, what in zip(cells, ("mean_error", "evidence_error"), strict=True):
+            name, _, error = cell.partition(": ")
+            assert name in known
+            if of == "two modes":
+                assert error in errors(name, what)
+    assert {"two modes", "three corridors, crowd", "recorded crowd"} == cases
 
 
 def test_linked_files_exist() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from benchmarks.inference import Row, rows_as_dicts, run, winners
+from benchmarks.inference import Row, rows_as_dicts, run, table, winners
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -67,14 +67,7 @@ def _print(rows: Sequence[Row]) -> None:
         doubts = "; ".join(r.reference_doubts) or "none"
         print(f"reference of {r.case}: log evidence ± {r.reference_error:.3f}, doubts: {doubts}")
     print()
-    print("| case | CPU time | best mean [sd] | best log evidence [nats] |")
-    print("|---|---|---|---|")
-    for line in winners(rows):
-        cells = [
-            "–" if line[what] is None else f"{line[what]}: {line[f'{what}_error']:.2g}"
-            for what in ("mean", "evidence")
-        ]
-        print(f"| {line['case']} | {line['budget_s']:g} s | {' | '.join(cells)} |")
+    print("\n".join(table(rows)))
 
 
 if __name__ == "__main__":

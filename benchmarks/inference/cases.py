@@ -110,7 +110,7 @@ def reference(case: Case, short: bool, progress: Progress | None = None) -> Refe
     """The grid in one dimension; else a long run of HMC."""
     if case.assembly.dimension == 1:
         return _exact(case)
-    method = HMC(draws=200, warmup=100) if short else HMC(chains=24, draws=1500)
+    method = HMC(draws=200, warmup=100) if short else HMC(chains=24, draws=500)
     result = method.infer(case.assembly, case.which, case.optima, 0, progress)
     sd = np.sqrt(np.diag(result.covariance)).reshape(result.mean.shape)[:, case.plane]
     return Reference(

@@ -132,21 +132,27 @@ def limited(gap: float) -> Assembly:
     """v ~ N(0, 1) in one dimension, with a stiff limit at |v| = gap."""
     prior = gaussian(np.zeros(2), np.eye(2))
     limit = SpeedLimit(gap, 0.01, dim=2)
-    terms = tuple(Term(n, r, (("robot", 0),), range(1)) for n, r in (("p", prior), ("v", limit)))
+    on = (("robot", 0),)
+    terms = tuple(Term(n, r, on, range(1), True) for n, r in (("p", prior), ("v", limit)))
     robot = Variable("robot", 2, keys.robot)
     return Assembly([Model(np.zeros(1), (robot,), terms, (), {}, np.zeros((1, 2)))])
 
 
 def _misled_by_limits(axes: Any) -> None:
-    laplace, sampled = [], []
+    methods = {
+        "Laplace by curvature": (Laplace(check=0, limits="curvature"), "C3--"),
+        "Laplace, limits propagated": (Laplace(check=0), "C2-"),
+        "importance sampling": (Importance(4096, "linear"), "C0o"),
+    }
+    found: dict[str, list[float | None]] = {name: [] for name in methods}
     for gap in GAPS[1:]:
         assembly = limited(float(gap))
-        found = SecondOrder().solve(assembly, np.zeros((1, 1, 2)), np.zeros(1, dtype=np.intp))
-        laplace.append(Laplace(check=0).infer(assembly, 0, found).log_evidence)
-        sampled.append(Importance(4096, "linear").infer(assembly, 0, found).log_evidence)
-    axes.plot(GAPS[1:], np.log(2 * norm.cdf(GAPS[1:]) - 1), "k-", label="exact")
-    axes.plot(GAPS[1:], laplace, "C3--", label="Laplace")
-    axes.plot(GAPS[1:], sampled, "C0o", mfc="none", label="importance sampling")
+        optima = SecondOrder().solve(assembly, np.zeros((1, 1, 2)), np.zeros(1, dtype=np.intp))
+        for name, (method, _) in methods.items():
+            found[name].append(method.infer(assembly, 0, optima).log_evidence)
+    axes.plot(GAPS[1:], np.log(2 * norm.cdf(GAPS[1:]) - 1), "k-", lw=3, label="exact")
+    for name, (_, style) in methods.items():
+        axes.plot(GAPS[1:], found[name], style, mfc="none", label=name)
     axes.set(
         title="A limit that the optimum does not touch",
         xlabel="from the optimum to the limit [sd]", ylabel="log evidence, one coordinate [nats]",

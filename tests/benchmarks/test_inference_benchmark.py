@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.inference import Row, measure, methods, winners
+from benchmarks.inference import Row, measure, methods, table, winners
 from benchmarks.inference.cases import cases, reference, two_modes
 from benchmarks.inference.picture import corridor, expected_share, limited
 from fgplan.inference import Importance, Laplace
@@ -45,22 +45,29 @@ def test_share_of_the_prior_has_its_closed_form(steps, h):
 def test_laplace_does_not_see_a_limit_that_the_optimum_does_not_touch():
     assembly = limited(0.5)
     found = SecondOrder().solve(assembly, np.zeros((1, 1, 2)), np.zeros(1, dtype=np.intp))
-    assert Laplace(check=0).infer(assembly, 0, found).log_evidence == pytest.approx(0, abs=1e-9)
+    flat = Laplace(limits="curvature")
+    assert flat.infer(assembly, 0, found).log_evidence == pytest.approx(0, abs=1e-9)
     sampled = Importance(8192, "linear").infer(assembly, 0, found)
     assert sampled.log_evidence == pytest.approx(np.log(0.3829), abs=0.1)
-    assert Laplace().infer(assembly, 0, found).warnings
+    assert flat.infer(assembly, 0, found).warnings
+    propagated = Laplace(check=0).infer(assembly, 0, found).log_evidence
+    assert propagated == pytest.approx(np.log(0.3829), abs=0.1)
 
 
 def test_winners_are_the_least_errors_within_the_budget():
     def row(method: str, seconds: float, error: float, evidence: float | None) -> Row:
         return Row("c", method, 1, seconds, error, 0.0, evidence, None, True, 0.0)
 
-    table = winners([row("quick", 0.005, 0.5, None), row("slow", 0.5, 0.1, 0.2)])
-    by_budget = {line["budget_s"]: line for line in table}
+    rows = [row("quick", 0.005, 0.5, None), row("slow", 0.5, 0.1, 0.2)]
+    by_budget = {line["budget_s"]: line for line in winners(rows)}
     assert by_budget[0.01]["mean"] == "quick"
     assert by_budget[0.01]["evidence"] is None
     assert by_budget[1.0]["mean"] == by_budget[1.0]["evidence"] == "slow"
     assert by_budget[1.0]["mode"] == "quick"
+    assert table(rows)[2:] == [
+        "| c | 0.01 s | quick: 0.5 | – |",
+        "| c | 1 s | slow: 0.1 | slow: 0.2 |",
+    ]
 
 
 @needs_recordings

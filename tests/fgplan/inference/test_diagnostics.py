@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arviz_stats.base import array_stats
 
 from fgplan.inference.diagnostics import (
     effective_sample_size,
@@ -91,3 +92,21 @@ def test_pareto_shape_of_equal_weights_and_of_one():
     one = np.full(1000, -np.inf)
     one[0] = 0.0
     assert pareto_shape(one) == np.inf
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_diagnostics_of_chains_are_those_of_arviz(rho):
+    """ArviZ cuts Geyer's sequence one pair later, which is within the noise of the estimate."""
+    x, axes = autoregressive(rho, 6, 400), {"chain_axis": 0, "draw_axis": 1}
+    assert split_rhat(x) == pytest.approx(array_stats.rhat(x, method="z_scale", **axes), rel=1e-12)
+    ess = array_stats.ess(x, method="mean", **axes)
+    assert effective_sample_size(x) == pytest.approx(float(ess), rel=0.02)
+    error = array_stats.mcse(x, method="mean", **axes)
+    assert standard_error(x) == pytest.approx(float(error), rel=0.01)
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5, 0.7, 1.0])
+def test_the_tail_of_importance_weights_is_that_of_arviz(shape):
+    weights = np.random.default_rng(0).random(8000) ** -shape - 1
+    expected = array_stats.psislw(-np.log(weights))[1]
+    assert pareto_shape(np.log(weights)) == pytest.approx(float(expected), abs=1e-9)
