@@ -50,3 +50,28 @@ def test_five_people() -> None:
     without, with_factor = (float(vx) for vx in re.findall(r"vx = ([\d.]+) m/s", printed))
     assert with_factor == pytest.approx(0.5, abs=0.05)
     assert without > 0.6
+
+
+def test_any_inference() -> None:
+    """The samplers agree, a mean over modes comes too near, and the prior collapses."""
+    printed = run(ROOT / "notebooks" / "any_inference.py")
+    evidence = {
+        name: (float(log_z), float(error))
+        for name, log_z, error in re.findall(r"(\w+) +log Z = (-?[\d.]+) ± ([\d.]+)", printed)
+    }
+    assert "map         no evidence; one mode of" in printed
+    log_z, error = evidence.pop("laplace")
+    assert len(evidence) == 3
+    for other, its_error in evidence.values():
+        assert log_z == pytest.approx(other, abs=4 * (error + its_error) + 0.01)
+    left, mean, best = map(
+        float, re.findall(r"left ([\d.]+); .* mean ([\d.]+) m, best ([\d.]+) m", printed)[0]
+    )
+    assert 0.4 < left < 0.6
+    assert mean < 0.4 < 0.5 < best
+    shares = [[float(s) for s in re.findall(r": ([\d.]+)", line.partition("samples:")[2])]
+              for line in printed.splitlines() if "effective share" in line]  # fmt: skip
+    from_prior, around = shares
+    assert from_prior == sorted(from_prior, reverse=True)
+    assert from_prior[-1] < 0.01 < 0.05 < min(around)
+    assert "same = True" in printed

@@ -47,13 +47,15 @@ def draw(rows: Sequence[Row], path: Path, short: bool, progress: Progress) -> No
 
 
 def corridor(steps: int, h: float, people: int = 0) -> Case:
-    """A straight plan half a metre beside the way the robot would coast, people along it."""
+    """A straight plan half a metre beside the way the robot would coast; people come along it, one
+    on the left and one on the right."""
     density = Density(
         dt=0.4, horizon=0.4 * steps, contact_sigma=np.inf, limit_sigma=np.inf, Qc_robot=0.5
     )
-    now = np.zeros(1)
+    seen = np.array([-0.8, -0.4, 0.0])
     tracks = tuple(
-        Track(f"p{i}", now, np.array([[1.0 + 0.6 * i, 1.2 * (-1) ** i]])) for i in range(people)
+        Track(f"p{i}", seen, np.column_stack([2.0 + 0.5 * i - 0.5 * seen, np.full(3, y)]))
+        for i, y in enumerate([0.9, 0.1] * (people // 2) + [0.9] * (people % 2))
     )
     scenario = Scenario(
         Robot(np.zeros(2), np.array([0.8, 0.0])),
