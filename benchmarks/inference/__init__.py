@@ -40,8 +40,8 @@ class Row:
     method: str
     draws: int
     seconds: float
-    mean_error: float
-    mode_error: float
+    mean_error: float | None
+    mode_error: float | None
     evidence_error: float | None
     ess: float | None
     trusted: bool
@@ -89,6 +89,7 @@ def measure(
         method.infer(case.assembly, case.which, case.optima, seed) for seed in range(1, seeds + 1)
     ]
     seconds = (process_time() - began) / seeds + (case.solving if solves else 0.0)
+    some = all(r.diagnostics.ess != 0 for r in results)  # else nothing that was drawn can be
     off = [(r.mean[:, case.plane] - truth.mean) / truth.spread for r in results]
     gaps = [max(0.0, float(r.energies.min()) - truth.energy) for r in results]
     log_z = [r.log_evidence for r in results if r.log_evidence is not None]
@@ -98,8 +99,8 @@ def measure(
         method=name,
         draws=results[0].diagnostics.draws,
         seconds=seconds,
-        mean_error=float(np.sqrt(np.mean(np.square(off)))),
-        mode_error=float(np.sqrt(np.mean(np.square(gaps)))),
+        mean_error=_rms(np.concatenate(off, axis=None)) if some else None,
+        mode_error=_rms(gaps) if some else None,
         evidence_error=_rms([z - truth.log_z for z in log_z]) if len(log_z) == seeds else None,
         ess=float(np.mean(sizes)) if sizes else None,
         trusted=not any(r.warnings for r in results),
@@ -152,5 +153,5 @@ def _least(rows: Sequence[Row], key: str) -> Row | None:
     return min(known, key=lambda row: (getattr(row, key), row.seconds), default=None)
 
 
-def _rms(values: Sequence[float]) -> float:
+def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -166,7 +166,7 @@ def _error_against_cost(axes: Any, rows: Sequence[Row]) -> None:
     names = [row.case for row in rows]
     case = next((n for n in names if n.startswith("three")), names[0])
     for method in dict.fromkeys(row.method for row in rows):
-        own = [r for r in rows if r.case == case and r.method == method]
+        own = [r for r in rows if r.case == case and r.method == method and r.mean_error]
         axes.loglog([r.seconds for r in own], [r.mean_error for r in own], "o-", label=method)
     axes.set(title=case, xlabel="CPU time [s]", ylabel="error of the mean [sd]")
     axes.legend(fontsize=7)
