@@ -68,7 +68,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.set(
             title=f"{row.candidates} candidates, {row.hand}\nECE {row.error:.3f}",
             xlabel="probability of the most probable", ylabel="share that is right",
-            xlim=(0, 1), ylim=(0, 1.02), aspect="equal",
+            xlim=(0, 1.05), ylim=(0, 1.05), aspect="equal",
         )  # fmt: skip
         axes.title.set_fontsize(8)
     path.parent.mkdir(parents=True, exist_ok=True)
