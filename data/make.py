@@ -61,9 +61,35 @@ HALL_PEOPLE: list[Person] = [
     (-5.5, 4.2, 1.10, -0.60),
 ]
 
+DELIVERY_PEOPLE: list[Person] = [
+    (5.2, 2.0, -0.90, 0.10),
+    (8.5, 6.2, -0.20, -0.90),
+    (14.2, 5.0, 0.00, 0.90),
+    (4.0, 7.0, 0.70, -0.20),
+    (12.0, 2.2, -0.90, 0.00),
+]
+
+HOSPITAL_PEOPLE: list[Person] = [
+    (6.5, 7.4, 1.00, 0.00),
+    (12.0, 6.8, -1.00, 0.00),
+    (20.0, 7.0, -0.90, 0.05),
+    (9.0, 13.2, 0.90, 0.00),
+    (24.0, 13.4, -1.00, 0.00),
+    (15.2, 10.2, 0.00, 0.80),
+]
+
+DELIVERY: list[Vertices] = [
+    [(3.01, 3.51), (6.49, 3.51), (6.49, 4.49), (3.01, 4.49)],
+    [(9.51, 3.51), (12.99, 3.51), (12.99, 4.49), (9.51, 4.49)],
+    [(6.01, 6.51), (6.99, 6.51), (6.99, 8.99), (6.01, 8.99)],
+]
+"""Two counters and a shelf."""
+
 CROWDS = {
     "three_corridors_crowd": (CORRIDOR_PEOPLE, "three_corridors", 1),
     "hall": (HALL_PEOPLE, "hall", 2),
+    "delivery": (DELIVERY_PEOPLE, "delivery", 3),
+    "hospital": (HOSPITAL_PEOPLE, "hospital", 4),
 }
 """People, map and seed of each scenario file that has any."""
 
@@ -82,7 +108,20 @@ def maps() -> dict[str, OccupancyGrid]:
         "one_obstacle": OccupancyGrid.from_polygons([octagon], (0, -4, 10, 4), 0.05, border=True),
         "three_corridors": OccupancyGrid.from_polygons(blocks, (0, -4, 14, 4), 0.1, border=True),
         "hall": OccupancyGrid.from_polygons([], (-10, -7, 10, 7), 0.1, border=True),
+        "delivery": OccupancyGrid.from_polygons(DELIVERY, (0, 0, 16, 10), 0.1, border=True),
+        "hospital": OccupancyGrid.from_polygons(_hospital(), (0, 0, 30, 20), 0.1, border=True),
     }
+
+
+def _hospital() -> list[Vertices]:
+    """Two corridors, three ways between them, and six rooms with a door each."""
+    blocks = [_box(3, 8.5, 14, 12), _box(16.5, 8.5, 27, 12)]
+    walls = [_box(x, 0, x + 0.4, 5.8) for x in (7.3, 14.8, 22.3)]
+    walls += [_box(x, 14.7, x + 0.4, 20) for x in (9.8, 19.8)]
+    for low, doors in ((5.4, (4.0, 11.0, 18.5, 26.0)), (14.7, (5.0, 15.0, 25.0))):
+        edges = [0.0, *(x for door in doors for x in (door - 0.75, door + 0.75)), 30.0]
+        walls += [_box(a, low, b, low + 0.4) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [*blocks, *walls]
 
 
 def people(name: str) -> str:

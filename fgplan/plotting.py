@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from fgplan.crowd import Belief, believe, heading, seen
 from fgplan.mixture import Component, Mixture
 from fgplan.occupancy import OCCUPIED, OccupancyGrid
+from fgplan.regions import Region
 from fgplan.scenario import Scenario, Track
 from fgplan.trajectory import Trajectory
 
@@ -35,6 +36,7 @@ ROBOT = "#0072b2"
 PERSON = "#d55e00"
 GOAL = "#f0e442"
 HYPOTHESES = ("#56b4e9", "#009e73", "#cc79a7", "#e69f00", "#999999")
+REGION = "#7a4b94"
 FREE, UNKNOWN, OBSTACLE = "#f4f4f4", "#cfcfcf", "#5a5a5a"
 
 WIDTH = 12.0
@@ -43,8 +45,12 @@ MARGIN = 1.0
 """Shown around everything that moves [m]."""
 NARROWEST = 6.0
 """Least width and height of what is shown [m]."""
+FINE = 300
+"""Points across the picture at which a region is looked at."""
 ROOM = 1.0
 """A label this far from everything hides nothing [m]."""
+LONGEST = 28
+"""Of a label in a picture [characters]."""
 ELLIPSES = (0.25, 0.5)
 """Shares of the horizon at which a prediction's 2σ ellipse is drawn."""
 
@@ -90,7 +96,18 @@ def _title(mixture: Mixture) -> str:
     if best is None or i is None:
         return f"{mixture.name}: stops, no hypothesis is safe"
     height, mass = mixture.probability_height[i], mixture.probability_mass[i]
-    return f"{mixture.name}: selected {best.label} (P = {height:.2f} by height, {mass:.2f} by mass)"
+    chance = f"P = {height:.2f} by height, {mass:.2f} by mass"
+    return f"{mixture.name}: selected {_short(best.label)} ({chance})"
+
+
+def _short(label: str) -> str:
+    """A label that leaves room for the picture: of hypotheses that ended in one optimum the first,
+    and how many more."""
+    first, *others = label.split("+")
+    if len(label) <= LONGEST:
+        return label
+    more = f" +{len(others)}" if others else ""
+    return (first if len(first) <= LONGEST else f"{first[: LONGEST - 1]}…") + more
 
 
 def _colours(mixture: Mixture) -> list[str]:
@@ -125,6 +142,8 @@ def _draw_map_panel(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) 
     if scenario.grid is not None:
         _draw_grid(axes, scenario.grid)
     _draw_field_of_view(axes, scenario, box)
+    for region in scenario.regions:
+        _draw_region(axes, region, box)
     for component, colour in zip(mixture.components, _colours(mixture), strict=True):
         _draw_hypothesis(axes, component, colour)
     _draw_names(axes, mixture, scenario, box)
@@ -164,6 +183,21 @@ def _draw_grid(axes: Axes, grid: OccupancyGrid) -> None:
     )
     place = Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y)
     image.set_transform(place + axes.transData)
+
+
+def _draw_region(axes: Axes, region: Region, box: Box) -> None:
+    """Its outline and its name."""
+    x, y = np.linspace(box[0], box[2], FINE), np.linspace(box[1], box[3], FINE)
+    distance = region.shape.distance(np.stack(np.meshgrid(x, y), axis=-1))
+    if distance.min() > 0:  # not in the picture
+        return
+    axes.contour(x, y, distance, [0.0], colors=REGION, linestyles="dashed", linewidths=1.0)
+    axes.contourf(x, y, distance, [-np.inf, 0.0], colors=[REGION], alpha=0.08, zorder=0.5)
+    row, column = np.unravel_index(np.argmin(distance), distance.shape)
+    axes.text(
+        float(x[column]), float(y[row]), region.name, fontsize=8, color=REGION, ha="center",
+        va="center", parse_math=False, clip_on=True, zorder=1,
+    )  # fmt: skip
 
 
 def _draw_field_of_view(axes: Axes, scenario: Scenario, box: Box) -> None:
@@ -208,7 +242,7 @@ def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> N
         axes.text(
             x,
             y,
-            f"{component.label}  {mixture.probability_height[i]:.2f}",
+            f"{_short(component.label)}  {mixture.probability_height[i]:.2f}",
             ha="center",
             va="center",
             fontsize=10,
@@ -320,7 +354,7 @@ def _draw_bars(axes: Axes, mixture: Mixture) -> None:
         axes.barh(where + shift, values, 0.36, color=colours, hatch=hatch, ec="black", lw=0.6)
         for y, value in zip(where + shift, values, strict=True):
             axes.text(value + 0.02, y, f"{value:.2f}", va="center", fontsize=8)
-    labels = [c.label if c.feasible else f"{c.label}\nrefused" for c in mixture.components]
+    labels = [_short(c.label) + "\nrefused" * (not c.feasible) for c in mixture.components]
     axes.set_yticks(where, labels, parse_math=False)
     axes.set(xlim=(0, 1.2), xticks=(0, 0.5, 1))
     axes.set_xlabel("probability (plain: height, hatched: mass)", fontsize=8)
@@ -344,6 +378,8 @@ def _draw_legend(axes: Axes, mixture: Mixture, scenario: Scenario) -> None:
         entries["and its route"] = line(HYPOTHESES[0], (0, (5, 3)), 1.2)
     if scenario.goal is not None:
         entries["goal"] = disc(GOAL, "black", "*", 13)
+    if scenario.regions:
+        entries["a region"] = line(REGION, "--", 1.0)
     unseen = len(scenario.tracks) - len(seen(scenario))
     if len(scenario.tracks) > unseen:
         entries["person now"] = disc(PERSON, PERSON)

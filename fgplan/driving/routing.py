@@ -115,7 +115,8 @@ class Routes:
         elsewhere = not _equal(self.goal, scenario.goal) or self.mission != scenario.mission
         changed = self.grid is not scenario.grid or elsewhere
         late = scenario.now - self.searched >= settings.period or scenario.now < self.searched
-        late |= scenario.grid is None  # a straight line is no search
+        # A straight line is no search.
+        late |= scenario.grid is None and scenario.mission is None
         if not (changed or late or len(known) < len(self.ways) or not known):
             return replace(self, ways=tuple(known))
         if elsewhere:

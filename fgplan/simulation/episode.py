@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.driving import Observation, Outcome
+from fgplan.regions import Letter
 from fgplan.simulation.body import Body
+from fgplan.simulation.errand import Errand, State, way_of
 from fgplan.simulation.gaps import Still
 from fgplan.simulation.people import Disc, People
 from fgplan.simulation.policy import Command, Policy
@@ -55,6 +57,8 @@ class Episode:
         discomfort: The gap below which people feel uneasy [m].
         entries: How often the robot came into each of the regions on its way.
         unsafe: Number of commands that the policy's own check calls a contact.
+        mission: How the mission stood at the end, by where the robot was.
+        word: The letters of where it was, facts included; empty without a mission.
         error: What the policy raised, in words.
     """
 
@@ -77,6 +81,8 @@ class Episode:
     entries: tuple[int, ...] = ()
     unsafe: int = 0
     error: str = ""
+    mission: State = State.NONE
+    word: tuple[Letter, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +104,8 @@ Watch = Callable[[Moment], None]
 
 
 def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
-    """Drive until the goal is reached, the time is up, or the rules say that it is over.
+    """Drive until the goal is reached, the time is up, or the rules say that it is over. With a
+    mission the goal counts when the mission is satisfied, and where none is stated that is all.
 
     An error of the policy ends the run and is kept in it: thousands of runs must not be lost by
     one.
@@ -109,7 +116,9 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
         watch: Told of each step.
     """
     rules, people, body = world.rules, world.people, Body(world.scenario, world.limits)
-    goal = np.asarray(world.scenario.goal, dtype=float)
+    stated = world.scenario.goal
+    goal = np.full(2, np.nan) if stated is None else np.asarray(stated, dtype=float)
+    errand = Errand(world.scenario)
     events = sorted(world.events, key=lambda event: event.time)
     log = _Log(body, people)
     dt = rules.period / rules.substeps
@@ -119,9 +128,13 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     while step * rules.period < rules.time_limit - 1e-9:
         elapsed = step * rules.period
         time = round(start + elapsed, 9)
-        news = None
+        news, facts = None, {}
         while events and events[0].time <= elapsed + 1e-9:
-            goal = news = np.asarray(events.pop(0).goal, dtype=float)
+            event = events.pop(0)
+            facts |= event.facts
+            if event.goal is not None:
+                goal = news = np.asarray(event.goal, dtype=float)
+        errand.told(facts)
         seen = world.sensor(time, body, people)
         observation = Observation(
             time=time,
@@ -132,6 +145,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             detections=seen.detections,
             grid=seen.grid,
             goal=news,
+            facts=facts,
             operator=() if world.operator is None else world.operator(time, body, people),
         )
         if world.tamper is not None:
@@ -151,6 +165,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             was = Still(people.positions, people.velocities, people.present.copy())
             people.advance(dt, disc if rules.seen_by_people else None)
             body.advance(command, dt, world.grid)
+            errand.moved(disc.position, body.position)
             gap = min(gap, rules.gap(disc, was, body, people, dt))
             blocked |= body.blocked
         step += 1
@@ -162,14 +177,17 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             now = bool(region.contains(body.position))
             entries[i] += now and not inside[i]
             inside[i] = now
-        if all(entries) and float(np.hypot(*(body.position - goal))) < rules.tolerance:
+        there = not np.hypot(*(body.position - goal)) >= rules.tolerance  # nowhere to be is there
+        if all(entries) and there and errand.done:
             end = End.GOAL
             break
-    reference = world.reference
+    reference = way_of(world.scenario)
+    if reference is None:
+        reference = world.reference
     if reference is None:
         reference = float(np.hypot(*(goal - world.scenario.robot.position)))
     delays = getattr(people, "delays", np.zeros(0))
-    return log.episode(world, end, goal, reference, delays, tuple(entries), error)
+    return log.episode(world, end, goal, reference, delays, tuple(entries), error, errand)
 
 
 class _Step(NamedTuple):
@@ -208,7 +226,7 @@ class _Log:
 
     def episode(
         self, world: World, end: End, goal: Array, reference: float, delays: Array,
-        entries: tuple[int, ...], error: str,
+        entries: tuple[int, ...], error: str, errand: Errand,
     ) -> Episode:  # fmt: skip
         return Episode(
             name=world.name,
@@ -230,4 +248,6 @@ class _Log:
             entries=entries,
             unsafe=sum(s.unsafe for s in self.steps),
             error=error,
+            mission=errand.state,
+            word=errand.word,
         )

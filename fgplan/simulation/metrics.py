@@ -34,13 +34,15 @@ def row(episode: Episode) -> Row:
     steps = np.linalg.norm(np.diff(episode.robot[:, :2], axis=0), axis=1)
     period = float(episode.times[1]) if len(episode.times) > 1 else 1.0
     away = np.linalg.norm(episode.robot[:-1, :2] - episode.goal, axis=1)
-    stopped = (steps / period < STANDING) & (away > NEAR)
+    stopped = (steps / period < STANDING) & ~(away <= NEAR)
     apart = separations(episode)
-    length = float(steps.sum() + np.linalg.norm(episode.robot[-1, :2] - episode.goal))
+    # Where no goal is stated there is nothing left to go.
+    length = float(steps.sum() + np.nan_to_num(np.linalg.norm(episode.robot[-1, :2] - episode.goal)))
     times = 1e3 * np.percentile(episode.seconds, [50, 95, 99]) if len(steps) else np.zeros(3)
     return {
         "world": episode.name,
         "end": str(episode.end),
+        "mission": str(episode.mission),
         "success": bool(reached and not touched and not walls),
         "collisions": touched + walls,
         "wall_contacts": walls,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -76,11 +76,13 @@ class Event:
 
     Args:
         time: [s].
-        goal: The goal from then on, shape (2,) [m].
+        goal: The goal from then on, shape (2,) [m]; None keeps it.
+        facts: What a mission's facts are from then on.
     """
 
     time: float
-    goal: Array
+    goal: Array | None = None
+    facts: dict[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

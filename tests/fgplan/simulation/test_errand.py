@@ -1,0 +1,90 @@
+"""Missions in closed loop: the run judges by where the robot was, not by what it reports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fgplan.driving import Observation
+from fgplan.mission import Fact, Mission
+from fgplan.regions import Region
+from fgplan.scenario import Robot, Scenario
+from fgplan.simulation.driver import Fgplan
+from fgplan.simulation.episode import End, run
+from fgplan.simulation.errand import State
+from fgplan.simulation.metrics import row
+from fgplan.simulation.peers import Straight
+from fgplan.simulation.policy import Command
+from fgplan.simulation.world import Event, Rules, World
+from tests.fgplan.simulation.worlds import passer, world
+
+REGIONS = (
+    Region.disc("A", (2.0, 1.5), 0.5),
+    Region.disc("B", (4.0, 0.0), 0.5),
+    Region.disc("C", (2.0, 0.0), 0.5),
+)
+
+
+def errand(formula: str, goal: object = None, facts: tuple[Fact, ...] = (), **changes: object) -> World:
+    robot = Robot(np.zeros(2), radius=0.3, max_speed=1.0)
+    mission = Mission(formula, facts)
+    scenario = Scenario(robot, goal=goal, regions=REGIONS, mission=mission, count=2)  # type: ignore[arg-type]
+    return world(**{"scenario": scenario, "rules": Rules(time_limit=15.0), **changes})
+
+
+class Along:
+    """Drives with constant velocity, whatever is asked."""
+
+    def __init__(self, vx: float) -> None:
+        self.velocity = np.array([vx, 0.0])
+
+    def step(self, observation: Observation) -> Command:
+        return Command(self.velocity)
+
+
+def test_a_mission_is_driven_among_people_to_its_end() -> None:
+    made = errand("F (A & F B) & G !C", people=world([passer(4.0, -4.0, 0.0, 1.0)]).people)
+    episode = run(made, Fgplan()(made))
+    assert (episode.end, episode.mission) == (End.GOAL, State.SATISFIED)
+    assert [sorted(letter) for letter in episode.word] == [[], ["A"], [], ["B"]]
+    numbers = row(episode)
+    assert numbers["success"]
+    assert 0.7 < numbers["path_ratio"] < 1.1  # the shortest way leads to the middle of the regions
+    assert numbers["stopped_fraction"] < 0.2
+
+
+def test_the_goal_does_not_count_before_the_mission() -> None:
+    made = errand("F A", goal=np.array([5.0, 0.0]), rules=Rules(time_limit=6.0))
+    episode = run(made, Straight(made))
+    assert np.linalg.norm(episode.robot[-1, :2] - [5.0, 0.0]) < 0.3
+    assert (episode.end, episode.mission) == (End.TIMEOUT, State.OPEN)
+
+
+def test_what_is_forbidden_is_seen_even_where_nobody_reports_it() -> None:
+    made = errand("F B & G !C", rules=Rules(time_limit=6.0))
+    episode = run(made, Along(1.0))
+    assert (episode.end, episode.mission) == (End.TIMEOUT, State.FAILED)
+    assert not row(episode)["success"]
+
+
+def test_a_fact_that_becomes_true_is_part_of_the_word() -> None:
+    facts = (Fact("shut"),)
+    made = errand("F B & (F shut -> F A)", facts=facts, events=(Event(1.0, facts={"shut": True}),))
+    episode = run(made, Fgplan()(made))
+    assert episode.mission == State.SATISFIED
+    assert any("shut" in letter for letter in episode.word)
+    assert any("A" in letter for letter in episode.word)
+
+
+def test_without_a_mission_nothing_is_said_of_one() -> None:
+    made = world()
+    episode = run(made, Straight(made))
+    assert (episode.mission, episode.word) == (State.NONE, ())
+    assert row(episode)["mission"] == ""
+
+
+def test_a_run_without_goal_has_finite_numbers() -> None:
+    made = errand("F C", rules=Rules(time_limit=4.0))
+    numbers = row(run(made, Along(1.0)))
+    assert numbers["success"]
+    assert numbers["path_ratio"] == pytest.approx(0.75, abs=0.03)  # 1.5 of 2.0 m: to the rim
