@@ -181,9 +181,9 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
         if all(entries) and there and errand.done:
             end = End.GOAL
             break
-    reference = way_of(world.scenario)
+    reference = world.reference
     if reference is None:
-        reference = world.reference
+        reference = way_of(world.scenario)
     if reference is None:
         reference = float(np.hypot(*(goal - world.scenario.robot.position)))
     delays = getattr(people, "delays", np.zeros(0))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fgplan.errors import NoRoute
 from fgplan.hypotheses import itineraries_of
 from fgplan.mission import Mission, satisfies
 from fgplan.regions import Letter, word_along
@@ -70,7 +71,10 @@ class Errand:
 
 
 def way_of(scenario: Scenario) -> float | None:
-    """Length of the shortest way to do a mission [m]; None without one."""
+    """Length of the shortest way to do a mission [m]; None without one, or where there is none."""
     if scenario.mission is None:
         return None
-    return itineraries_of(scenario, 1)[0].length
+    try:
+        return itineraries_of(scenario, 1)[0].length
+    except NoRoute:
+        return None

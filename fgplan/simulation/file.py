@@ -26,6 +26,7 @@ from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.shared_control import Waypoint
 from fgplan.simulation.body import Limits
+from fgplan.simulation.errand import way_of
 from fgplan.simulation.faults import Faults
 from fgplan.simulation.human_like import HumanLike
 from fgplan.simulation.operators import Names, operator_named
@@ -35,7 +36,15 @@ from fgplan.simulation.sensor import Sensors, known_at_first
 from fgplan.simulation.walkers import Walker, Walkers
 from fgplan.simulation.walls import rectangles
 from fgplan.simulation.world import Event, Operator, Rules, World
-from fgplan.simulation.world_table import Box, DiscsTable, PeopleTable, WorldTable, understood
+from fgplan.simulation.world_table import (
+    Box,
+    DiscsTable,
+    EventTable,
+    PeopleTable,
+    WorldTable,
+    understood,
+    unknown_facts,
+)
 from fgplan.timing import path_length
 
 Array = NDArray[np.float64]
@@ -124,7 +133,7 @@ class FromFile:
                 seen_by_people=table.sees_robot,
             ),
             grid=grid,
-            events=tuple(Event(e.time, np.array(e.goal, dtype=float)) for e in table.events),
+            events=tuple(map(_event, table.events)),
             via=via,
             tamper=Faults(table.faults, seed) if table.faults > 0 else None,
             reference=reference,
@@ -156,8 +165,10 @@ def _understood(
     regions = None if scenario is None else [r.name for r in scenario.regions]
     table, wrong = understood(raw, regions)
     mistakes += wrong
-    if scenario is not None and scenario.goal is None:
-        mistakes.append(Mistake("goal", None, "is missing; a run ends there"))
+    if scenario is not None and scenario.goal is None and scenario.mission is None:
+        mistakes.append(Mistake("goal", None, "is missing; a run ends there, or with a [mission]"))
+    if scenario is not None and table is not None:
+        mistakes += unknown_facts(table, scenario.mission)
     if mistakes or scenario is None or table is None:
         raise ScenarioError(str(path), tuple({m.path: m for m in mistakes}.values()))
     return scenario, table
@@ -202,7 +213,9 @@ def _with_discs(
     if scenario.grid is None:
         mistake = Mistake("world.discs", discs.count, "needs a map to be drawn on; give [map]")
         raise ScenarioError(str(path), (mistake,))
-    ends = [(scenario.robot.position, ROOM), (np.asarray(scenario.goal, dtype=float), ROOM)]
+    ends = [(scenario.robot.position, ROOM)]
+    if scenario.goal is not None:
+        ends.append((np.asarray(scenario.goal, dtype=float), ROOM))
     placed: list[tuple[Array, float]] = []
     for number in range(discs.count):
         radius = float(rng.uniform(*discs.radius))
@@ -272,6 +285,11 @@ def _operator(world: World, table: WorldTable, seed: int) -> Operator | None:
     return Names(places, operator)
 
 
+def _event(table: EventTable) -> Event:
+    goal = None if table.goal is None else np.array(table.goal, dtype=float)
+    return Event(table.time, goal, dict(table.facts))
+
+
 def _motion(name: str, walkers: list[Walker], grid: OccupancyGrid | None) -> Motion:
     """How people move."""
     if name == "heedless":
@@ -285,11 +303,14 @@ def _motion(name: str, walkers: list[Walker], grid: OccupancyGrid | None) -> Mot
 def _shortest(
     grid: OccupancyGrid | None, scenario: Scenario, via: tuple[Region, ...], table: WorldTable
 ) -> float | None:
-    """Length of the shortest way from the start over the regions to the last goal [m]; None where
-    it is a straight line, or there is none."""
+    """Length of the shortest way from the start over the regions to the last goal, or of that to
+    do the mission [m]; None where it is a straight line, or there is none."""
+    if scenario.mission is not None:
+        return way_of(scenario.replace(grid=grid))
     if grid is None:
         return None
-    last = max(table.events, key=lambda event: event.time, default=None)
+    moved = [event for event in table.events if event.goal is not None]
+    last = max(moved, key=lambda event: event.time, default=None)
     goal = scenario.goal if last is None else last.goal
     between = [np.mean(region.polygon, axis=0) for region in via]
     places = [scenario.robot.position, *between, np.array(goal, dtype=float)]

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 
 from fgplan import scenario_file
 from fgplan.errors import FgplanError, Mistake
+from fgplan.mission import Mission
 from fgplan.scenario import FieldOfView
 from fgplan.simulation.operators import operator_named
 from fgplan.simulation.sensor import Quality
@@ -62,7 +63,8 @@ class EventTable(Table):
     """[[world.events]]."""
 
     time: Number
-    goal: Point
+    goal: Point | None = None
+    facts: dict[str, Flag] = Field(default_factory=dict)
 
 
 class WaypointTable(Table):
@@ -133,6 +135,16 @@ def understood(
     return table, list(_senseless(table, regions))
 
 
+def unknown_facts(table: WorldTable, mission: Mission | None) -> Iterable[Mistake]:
+    """Facts of events that the mission does not have."""
+    known = [] if mission is None else [fact.name for fact in mission.facts]
+    for i, event in enumerate(table.events):
+        for name, value in event.facts.items():
+            if name not in known:
+                mend = f"is no fact of the mission; it has {', '.join(known) or 'none'}"
+                yield Mistake(f"world.events[{i}].facts.{name}", value, mend)
+
+
 def _senseless(table: WorldTable, regions: Sequence[str] | None) -> Iterable[Mistake]:
     """Yields every value that makes no sense."""
     path = "world"
@@ -154,8 +166,10 @@ def _senseless(table: WorldTable, regions: Sequence[str] | None) -> Iterable[Mis
     yield from _above(sensor, table.sensor, "range", "angle", "map_range", finite=False)
     for i, event in enumerate(table.events):
         yield from _not_negative(f"{path}.events[{i}]", event, "time")
-        if not np.all(np.isfinite(event.goal)):
+        if event.goal is not None and not np.all(np.isfinite(event.goal)):
             yield Mistake(f"{path}.events[{i}].goal", event.goal, "give finite numbers")
+        if event.goal is None and not event.facts:
+            yield Mistake(f"{path}.events[{i}]", event.time, "says nothing; give a goal, or facts")
     yield from _operator(path, table)
     if table.discs is not None:
         discs = table.discs
