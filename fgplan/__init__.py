@@ -1,10 +1,12 @@
 """fgplan: planning for robots among people as inference on a factor graph."""
 
-from fgplan.errors import FgplanError, MapError, NoPlan, NoRoute, ScenarioError
+from fgplan.errors import FgplanError, MapError, MissionError, NoPlan, NoRoute, ScenarioError
 from fgplan.measuring import Measurement, Reading, Readings
+from fgplan.mission import Fact, Mission
 from fgplan.mixture import Action, Component, Mixture
 from fgplan.occupancy import OccupancyGrid
 from fgplan.planner import plan
+from fgplan.regions import Region
 from fgplan.robots import Holonomic, RobotModel, Twist
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.solver import GtsamLM, SecondOrder
@@ -19,6 +21,7 @@ __all__ = [
     "Component",
     "Density",
     "DifferentialDrive",
+    "Fact",
     "FgplanError",
     "FieldOfView",
     "GivenPlan",
@@ -27,12 +30,15 @@ __all__ = [
     "Level",
     "MapError",
     "Measurement",
+    "Mission",
+    "MissionError",
     "Mixture",
     "NoPlan",
     "NoRoute",
     "OccupancyGrid",
     "Reading",
     "Readings",
+    "Region",
     "Robot",
     "RobotModel",
     "Scenario",

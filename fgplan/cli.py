@@ -1,4 +1,4 @@
-"""The command line: `fgplan plan`, `fgplan demo`, `fgplan graph`.
+"""The command line: `fgplan plan`, `fgplan demo`, `fgplan graph`, `fgplan stack`.
 
 Exit codes: 0 there is a plan (or a stop, which is printed as one), 1 there is none, 2 the input
 makes no sense.
@@ -216,6 +216,29 @@ def graph(
         subprocess.run([program, "-Tsvg", str(out), "-o", str(picture)], check=True)
         written.append(picture)
     print(f"wrote     {', '.join(map(str, written))}")
+
+
+@app.command()
+def stack(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
+    hypothesis: Annotated[
+        str | None, typer.Option(help="Label of the hypothesis (default: the first).")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Picture: .png, .svg or .pdf.")] = Path("out/stack.png"),
+) -> None:
+    """Print the stack of levels and what each coupling is for; draw it beside its graph."""
+    from fgplan import stack_drawing
+    from fgplan.factorisation import factorise
+
+    with reported():
+        asked = Scenario.load(scenario)
+        try:
+            report = factorise(asked, hypothesis)
+        except KeyError as error:
+            raise typer.BadParameter(error.args[0], param_hint="--hypothesis") from None
+        print(stack_drawing.describe(asked, report))
+        stack_drawing.draw(asked, out)
+    print(f"wrote     {out}")
 
 
 def _asked(scenario: Path | None, recording: Path | None, case: str | None, at: float) -> Scenario:

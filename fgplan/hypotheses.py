@@ -146,8 +146,11 @@ def _visiting(itinerary: Itinerary) -> _Path:
     return _Path(itinerary.label, itinerary.path, None, stop)
 
 
-def itineraries_of(scenario: Scenario, count: int) -> tuple[Itinerary, ...]:
-    """At most `count` itineraries of a scenario with a mission, from where the robot is.
+def itineraries_of(
+    scenario: Scenario, count: int, first: int | None = None
+) -> tuple[Itinerary, ...]:
+    """At most `count` itineraries of a scenario with a mission, from where the robot is; `first` as
+    in `fgplan.mission.itineraries`.
 
     Raises:
         NoMissionRoute, MissionError: as `hypothesise`.
@@ -163,4 +166,5 @@ def itineraries_of(scenario: Scenario, count: int) -> tuple[Itinerary, ...]:
         scenario.robot.radius,
         count,
         scenario.goal,
+        first,
     )

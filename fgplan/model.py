@@ -31,7 +31,7 @@ from fgplan.gating import Gate, gate
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.robots import Piece
 from fgplan.scenario import Density, Level, Scenario
-from fgplan.stack import links, name_of
+from fgplan.stack import coupling_name, links
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -442,9 +442,7 @@ def _couplings(
         size = scenario.robot.model.dim if link.below is None else 4
         steps = range(0, d.steps + 1, link.every)
         weight, chosen = link.every * d.exponent, slice(None, None, link.every)
-        label = f"{levels[link.above].name} coupling"
-        if sum(other.above == link.above for other in links(levels)) > 1:
-            label = f"{levels[link.above].name} to {name_of(levels, link.below)} coupling"
+        label = coupling_name(levels, link)
         free = "robot" if link.below is None else None if below is None else below.name
         if above is not None and free is not None:
             psi = coupling(link.h, (4, size), weight=weight)

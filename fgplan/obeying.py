@@ -29,7 +29,7 @@ def obeying(scenario: Scenario) -> Scenario:
     Raises:
         MissionError: a name in the mission is neither region nor fact.
     """
-    now = _rules(scenario)
+    now = rules_now(scenario)
     if not now.forbidden and not now.held:
         return scenario
     data = (*scenario.data, *_tau(scenario, now))
@@ -43,7 +43,7 @@ def closed(scenario: Scenario, now: Rules | None = None) -> Scenario:
         scenario: What is known now.
         now: Its rules; None: they are found.
     """
-    now = _rules(scenario) if now is None else now
+    now = rules_now(scenario) if now is None else now
     if scenario.grid is None or not now.forbidden:
         return scenario
     shut = tuple(r for r in scenario.regions if r.name in now.forbidden)
@@ -52,7 +52,7 @@ def closed(scenario: Scenario, now: Rules | None = None) -> Scenario:
 
 def tau(scenario: Scenario) -> tuple[Measurement, ...]:
     """The tactical data alone."""
-    return tuple(_tau(scenario, _rules(scenario)))
+    return tuple(_tau(scenario, rules_now(scenario)))
 
 
 def _tau(scenario: Scenario, now: Rules) -> list[Measurement]:
@@ -68,7 +68,8 @@ def _tau(scenario: Scenario, now: Rules) -> list[Measurement]:
     return found
 
 
-def _rules(scenario: Scenario) -> Rules:
+def rules_now(scenario: Scenario) -> Rules:
+    """What a scenario's mission requires of every place now; nothing without a mission."""
     if scenario.mission is None:
         return Rules()
     position = scenario.robot.position

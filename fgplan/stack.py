@@ -73,6 +73,14 @@ def name_of(levels: Sequence[Level], index: int | None) -> str:
     return ROBOT if index is None else levels[index].name
 
 
+def coupling_name(levels: Sequence[Level], link: Link) -> str:
+    """What the term of a coupling is called."""
+    above = levels[link.above].name
+    if sum(other.above == link.above for other in links(levels)) > 1:
+        return f"{above} to {name_of(levels, link.below)} coupling"
+    return f"{above} coupling"
+
+
 def is_flat(level: Level) -> bool:
     """Whether nothing is said of a level but by couplings and data."""
     return level.sigma == float("inf") and level.Qc is None

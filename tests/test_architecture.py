@@ -46,9 +46,10 @@ RANKS = [
     {"selection"},
     {"planner"},
     {"drawing", "driving", "peers"},
+    {"factorisation"},
     {"terminal"},
     {"simulation"},
-    {"plotting"},
+    {"plotting", "stack_drawing"},
     {"cli", "web"},
     {"__main__"},
 ]

@@ -163,7 +163,7 @@ def _to_stops(scenario: Scenario) -> list[Way]:
     with the same way add up."""
     count, beta = max(scenario.count, 1), scenario.density.beta
     groups: dict[Any, list[Itinerary]] = {}
-    for one in itineraries_of(scenario, LOOK_AT * count):
+    for one in itineraries_of(scenario, LOOK_AT * count, count):
         groups.setdefault(one.signature[:1], []).append(one)
     ways = []
     for group in list(groups.values())[:count]:

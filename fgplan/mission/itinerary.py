@@ -90,6 +90,7 @@ def itineraries(
     radius: float,
     count: int,
     end: Any = None,
+    first: int | None = None,
 ) -> tuple[Itinerary, ...]:
     """At most `count` itineraries, the shortest first, each accepted by the mission's automaton.
 
@@ -101,6 +102,8 @@ def itineraries(
         radius: Of the robot [m].
         count: How many, at least 1.
         end: Where to be when the mission is done, shape (2,) [m]; None: where it gets done.
+        first: Classes of the first leg to look at, for each of its ends: while driving that leg
+            alone is searched anew every time. None: as many as itineraries.
 
     Returns:
         A mission that is done and has no end to go to gives one itinerary that stays.
@@ -112,7 +115,8 @@ def itineraries(
     """
     if count < 1:
         raise ValueError(f"count must be at least 1, got {count}")
-    return _Search(mission, grid, regions, np.asarray(start, dtype=float), radius, end).best(count)
+    search = _Search(mission, grid, regions, np.asarray(start, dtype=float), radius, end)
+    return search.best(count, count if first is None else first)
 
 
 @dataclass(frozen=True)
@@ -169,6 +173,7 @@ class _Search:
         room = (0.0, 0.0, 0.0, 0.0) if grid is not None else room_for(points, spoken)
         self.map: Places = places(grid, spoken, closed, radius, room)
         self.start = start
+        self.first = 1
         self.known = mission.known
         self.mission = mission.advance(self.map.at(start))
         self.automaton = Automaton.build(
@@ -180,7 +185,8 @@ class _Search:
         nothing: Letter = frozenset()
         return tuple(dict.fromkeys((nothing, self.map.at(self.start), *self.map.letters)))
 
-    def best(self, count: int) -> tuple[Itinerary, ...]:
+    def best(self, count: int, first: int) -> tuple[Itinerary, ...]:
+        self.first = first
         if 0 not in self.automaton.live:
             raise self._no_route()
         walks = []
@@ -276,11 +282,13 @@ class _Search:
     ) -> tuple[Leg, ...]:
         if target is None:
             assert self.end is not None
-            here = self._letter(walk.place)
-            return self.map.legs(self._point(walk.place), self.end, allowed | {here}, count)
+            allowed = allowed | {self._letter(walk.place)}
+            if walk.place < 0:
+                return self.map.legs(self.start, self.end, allowed, min(count, self.first))
+            return self.map.onwards(walk.place, self.end, allowed, count)
         if walk.place < 0:
             goal = self.map.places[target].anchor
-            return self.map.legs(self.start, goal, allowed, count)
+            return self.map.legs(self.start, goal, allowed, min(count, self.first))
         return self.map.between(walk.place, target, allowed, count)
 
     def _read(self, state: int, leg: Leg) -> int:
@@ -293,9 +301,6 @@ class _Search:
 
     def _letter(self, place: int) -> Letter:
         return self.map.at(self.start) if place < 0 else self.map.places[place].letter
-
-    def _point(self, place: int) -> Array:
-        return self.start if place < 0 else self.map.places[place].anchor
 
     # Bounds
 

@@ -7,7 +7,7 @@ k-best search on grid cells would return copies of one path; two edges are two h
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -30,6 +30,9 @@ directions, and is at most 1/cos(π/8) = 1.08 times too long."""
 
 MOST_CARVINGS = 12
 """Attempts to lead a leg round what it must not enter."""
+
+MOST_LEGS = 1000
+"""Kept: a goal that moves must not fill the memory."""
 
 OPEN_CELL, OPEN_MARGIN = 0.1, 3.0
 """Without a map: cells of the one made, and the room around what is known [m]."""
@@ -77,7 +80,7 @@ class Places:
 
     def __init__(self, grid: OccupancyGrid, regions: tuple[Region, ...], radius: float) -> None:
         self.grid, self.regions, self.radius = grid, regions, radius
-        self._legs: dict[tuple[int, int, frozenset[Letter]], tuple[Leg, ...]] = {}
+        self._legs: dict[tuple[Hashable, ...], tuple[Leg, ...]] = {}
 
     @cached_property
     def road(self) -> Roadmap:
@@ -130,10 +133,17 @@ class Places:
         start, goal = self.places[a], self.places[b]
         return self._led(start.anchor, goal.anchor, allowed, count, (a, b))
 
+    def onwards(
+        self, a: int, goal: Array, allowed: frozenset[Letter], count: int
+    ) -> tuple[Leg, ...]:
+        """The same from a place to a point that is no place, such as the scenario's goal."""
+        anchor = self.places[a].anchor
+        return self._led(anchor, goal, allowed, count, (a, *goal.tolist()))
+
     def legs(
         self, start: Array, goal: Array, allowed: frozenset[Letter], count: int
     ) -> tuple[Leg, ...]:
-        """The same between two points."""
+        """The same between two points, which are not kept."""
         return self._led(start, goal, allowed, count, None)
 
     def _led(
@@ -142,18 +152,20 @@ class Places:
         goal: Array,
         allowed: frozenset[Letter],
         count: int,
-        key: tuple[int, int] | None,
+        key: tuple[Hashable, ...] | None,
     ) -> tuple[Leg, ...]:
         """Led around what it must not enter, as far as that is in the way: carving everything
         would close ways that are open, and make new classes around what nobody meets."""
         carved: frozenset[Letter] = frozenset()
         for _ in range(MOST_CARVINGS):
-            if key is not None and (*key, carved) in self._legs:
-                legs = self._legs[(*key, carved)]
+            if key is not None and (*key, count, carved) in self._legs:
+                legs = self._legs[(*key, count, carved)]
             else:
                 legs = self._found(start, goal, carved, count)
                 if key is not None:
-                    self._legs[(*key, carved)] = legs
+                    if len(self._legs) >= MOST_LEGS:
+                        self._legs.clear()
+                    self._legs[(*key, count, carved)] = legs
             wrong = {letter for leg in legs for letter in leg.word} - allowed
             if not wrong:
                 return legs

@@ -128,7 +128,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     while step * rules.period < rules.time_limit - 1e-9:
         elapsed = step * rules.period
         time = round(start + elapsed, 9)
-        news, facts = None, {}
+        news, facts = None, dict[str, bool]()
         while events and events[0].time <= elapsed + 1e-9:
             event = events.pop(0)
             facts |= event.facts

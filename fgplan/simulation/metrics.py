@@ -37,7 +37,9 @@ def row(episode: Episode) -> Row:
     stopped = (steps / period < STANDING) & ~(away <= NEAR)
     apart = separations(episode)
     # Where no goal is stated there is nothing left to go.
-    length = float(steps.sum() + np.nan_to_num(np.linalg.norm(episode.robot[-1, :2] - episode.goal)))
+    length = float(
+        steps.sum() + np.nan_to_num(np.linalg.norm(episode.robot[-1, :2] - episode.goal))
+    )
     times = 1e3 * np.percentile(episode.seconds, [50, 95, 99]) if len(steps) else np.zeros(3)
     return {
         "world": episode.name,

@@ -36,13 +36,19 @@ def test_the_papers_cases_are_there() -> None:
     assert names >= {"one_goal", "three_corridors", "three_corridors_crowd", "hall"}
 
 
+def test_the_cases_of_levels_and_missions_are_there() -> None:
+    names = {path.stem for path in SCENARIOS}
+    assert names >= {"delivery", "three_levels", "hospital"}
+
+
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_every_scenario_loads_and_nobody_overlaps(path: Path) -> None:
     scenario = Scenario.load(path)
     assert scenario.grid is not None
-    assert scenario.goal is not None
-    ends = np.array([scenario.robot.position, scenario.goal])
-    assert scenario.grid.clearance(ends, scenario.robot.radius).min() > 0
+    ends = [scenario.robot.position]
+    if scenario.mission is None or scenario.goal is not None:
+        ends.append(scenario.goal)  # type: ignore[arg-type]
+    assert scenario.grid.clearance(np.array(ends), scenario.robot.radius).min() > 0
     for i, track in enumerate(scenario.tracks):
         assert scenario.grid.clearance(track.positions, track.radius).min() > 0
         for other in scenario.tracks[:i]:
@@ -58,7 +64,7 @@ def test_every_map_is_what_the_script_makes(path: Path, make: ModuleType, tmp_pa
         assert (tmp_path / name).read_bytes() == (path.parent / name).read_bytes()
 
 
-@pytest.mark.parametrize("name", ["three_corridors_crowd", "hall"])
+@pytest.mark.parametrize("name", ["three_corridors_crowd", "hall", "delivery", "hospital"])
 def test_people_are_what_the_script_makes(name: str, make: ModuleType) -> None:
     text = (DATA / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
     assert text.endswith(make.people(name))

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fgplan.driving import Observation
+from fgplan.errors import ScenarioError
 from fgplan.mission import Fact, Mission
 from fgplan.regions import Region
 from fgplan.scenario import Robot, Scenario
 from fgplan.simulation.driver import Fgplan
 from fgplan.simulation.episode import End, run
 from fgplan.simulation.errand import State
+from fgplan.simulation.file import FromFile
 from fgplan.simulation.metrics import row
 from fgplan.simulation.peers import Straight
 from fgplan.simulation.policy import Command
@@ -25,7 +29,9 @@ REGIONS = (
 )
 
 
-def errand(formula: str, goal: object = None, facts: tuple[Fact, ...] = (), **changes: object) -> World:
+def errand(
+    formula: str, goal: object = None, facts: tuple[Fact, ...] = (), **changes: object
+) -> World:
     robot = Robot(np.zeros(2), radius=0.3, max_speed=1.0)
     mission = Mission(formula, facts)
     scenario = Scenario(robot, goal=goal, regions=REGIONS, mission=mission, count=2)  # type: ignore[arg-type]
@@ -88,3 +94,81 @@ def test_a_run_without_goal_has_finite_numbers() -> None:
     numbers = row(run(made, Along(1.0)))
     assert numbers["success"]
     assert numbers["path_ratio"] == pytest.approx(0.75, abs=0.03)  # 1.5 of 2.0 m: to the rim
+
+
+@pytest.mark.parametrize("name", ["delivery", "three_levels", "hospital"])
+def test_scenario_files_with_levels_and_missions_are_simulated(name: str) -> None:
+    path = Path(__file__).parents[3] / "data" / "scenarios" / f"{name}.toml"
+    made = FromFile(path, (("world.time_limit", "1.0"),))(0)
+    assert made.reference is not None
+    episode = run(made, Fgplan()(made))
+    assert (episode.end, episode.error) == (End.TIMEOUT, "")
+    assert np.linalg.norm(episode.robot[-1, :2] - episode.robot[0, :2]) > 0.1
+    assert episode.unsafe == 0
+
+
+def test_a_door_that_shuts_in_a_file_replans_the_round(tmp_path: Path) -> None:
+    file = tmp_path / "door.toml"
+    file.write_text(DOOR)
+    made = FromFile(file)(0)
+    episode = run(made, Fgplan()(made))
+    assert (episode.end, episode.mission) == (End.GOAL, State.SATISFIED)
+    assert any({"shut"} == letter for letter in episode.word)
+    assert any("stairs" in letter for letter in episode.word)
+
+
+@pytest.mark.parametrize(
+    ("event", "says"),
+    [
+        ("time = 1.0", "world.events[0]: got 1.0; says nothing; give a goal, or facts"),
+        ("time = 1.0\nfacts = {open = true}", "is no fact of the mission; it has shut"),
+    ],
+)
+def test_events_that_make_no_sense_are_named(tmp_path: Path, event: str, says: str) -> None:
+    file = tmp_path / "door.toml"
+    file.write_text(DOOR.replace("time = 0.5\nfacts = {shut = true}", event))
+    with pytest.raises(ScenarioError) as caught:
+        FromFile(file).check()
+    assert says in str(caught.value)
+
+
+DOOR = """
+[map]
+polygons = [[[2.5, -0.6], [3.5, -0.6], [3.5, 0.6], [2.5, 0.6]]]
+bounds = [0, -2, 6, 2]
+resolution = 0.1
+
+[robot]
+position = [0.6, 0.0]
+max_speed = 1.0
+
+[[regions]]
+name = "passage"
+polygon = [[2.6, 0.6], [3.4, 0.6], [3.4, 2.0], [2.6, 2.0]]
+
+[[regions]]
+name = "stairs"
+polygon = [[2.6, -2.0], [3.4, -2.0], [3.4, -0.6], [2.6, -0.6]]
+
+[[regions]]
+name = "ward"
+centre = [5.2, 0.5]
+radius = 0.4
+
+[mission]
+formula = "F ward & (F shut -> F stairs)"
+
+[[mission.facts]]
+name = "shut"
+closes = "passage"
+
+[plans]
+count = 2
+
+[world]
+time_limit = 15.0
+
+[[world.events]]
+time = 0.5
+facts = {shut = true}
+"""
