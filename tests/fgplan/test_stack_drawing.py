@@ -98,3 +98,10 @@ def test_command_refuses_a_hypothesis_that_does_not_exist(tmp_path: Path) -> Non
     done = CliRunner().invoke(app, ["stack", file, "--hypothesis", "Z"])
     assert done.exit_code == 2
     assert "is none of" in done.output
+
+
+def test_the_page_shows_what_is_printed() -> None:
+    page = (DATA.parents[1] / "docs" / "stacks.md").read_text(encoding="utf-8")
+    block = page.partition("```text\n")[2].partition("```")[0]
+    asked = Scenario.load(DATA / "three_levels.toml")
+    assert block.strip() in describe(asked, factorise(asked))
