@@ -205,6 +205,9 @@ class Assembly:
     Args:
         models: One per hypothesis.
 
+    Attributes:
+        pace: What a start took in the last iteration of a solver [s].
+
     Raises:
         ValueError: the models do not share their terms, a hypothesis's own term is not linear, or
             a user's factor is on a variable that does not exist.
@@ -217,6 +220,7 @@ class Assembly:
             raise ValueError("models of one assembly must come from one build")
         if not all(isinstance(term.residual, Linear) for m in self.models for term in m.own):
             raise ValueError("the terms that differ by hypothesis must be linear")
+        self.pace = 0.0
         self.reference = np.stack([model.reference for model in self.models])
         _, S, D = self.reference.shape
         self.free = np.ones((S, D), dtype=bool)

@@ -118,13 +118,16 @@ class SecondOrder:
         if len(active) < B:
             for b in np.flatnonzero(~np.isfinite(energy)).tolist():
                 stop[b] = Stop.NOT_FINITE
-        began = perf_counter()
+        began, busy = perf_counter(), 0
         for _ in range(self.max_iterations):
             if not len(active):
                 break
-            # The next iteration is expected to last as long as the last one.
+            # An iteration is expected to last as long as the last one, in an earlier solve, too.
             now = perf_counter()
-            if now + (now - began) > until:
+            if busy:
+                assembly.pace = (now - began) / busy
+            busy = len(active)
+            if now + busy * assembly.pace > until:
                 for b in active.tolist():
                     stop[b] = Stop.DEADLINE
                 break
