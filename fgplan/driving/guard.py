@@ -33,9 +33,9 @@ class Tier(IntEnum):
     """How safe a command is, best first."""
 
     CLEAR = 0
-    """A margin is kept over the look-ahead, and the robot can stop."""
+    """A margin is kept all along, and the robot can stop."""
     TOUCHING_NOBODY = 1
-    """Nobody is touched over the look-ahead, and the robot can stop."""
+    """Nobody is touched, and the robot can stop."""
     AVOIDING = 2
     """The same, by another command than the plan's: the nearest one, of those that keep the margin
     if any does."""
@@ -48,7 +48,8 @@ class Guard:
     """What is asked of a command.
 
     Args:
-        ahead: How far commands are followed [s].
+        ahead: How far a plan is followed [s], at most to its end.
+        escape: How far another command is followed [s]: nobody knows what comes after it.
         margin: Clearance from people that the first tier keeps [m].
         spacing: Between two looks along a trajectory [s].
         sigmas: By how many standard deviations of where they may be people grow while the robot
@@ -58,8 +59,9 @@ class Guard:
             there is often no straight way out of a crowd.
     """
 
-    ahead: float = 1.5
-    margin: float = 0.15
+    ahead: float = 5.0
+    escape: float = 1.5
+    margin: float = 0.1
     spacing: float = 0.05
     sigmas: float = 2.0
     most: float = 0.3
@@ -141,35 +143,35 @@ class Judge:
             planned: Where people are in that plan.
         """
         own = self._own(plan, planned)
-        return (
-            self._guarded(own.states[0], own.tier)
-            if own.tier < Tier.AVOIDING
-            else self._escape(own)
-        )
+        if own.tier < Tier.AVOIDING:
+            return self._guarded(own.states[0], self._looks[0], own.tier)
+        return self._escape(own)
 
     def _escape(self, own: _Own) -> Guarded:
         """Another command than the plan's: the nearest clear one, else the least bad one."""
-        times, steps = self._looks
+        whole, steps = self._looks
+        times = whole[: max(steps, round(self.settings.escape / whole[1])) + 1]
         robot, model = self.scenario.robot, self.scenario.robot.model
         predicted = People(times, self.belief.predict(times)[0], self.belief.radii)
         wishes = _wishes(model.commands(robot, self._now), times, self.settings)
         states = model.driven(robot, self._now, wishes, times, self.lag)
-        others = self._look(states, predicted)
+        others = self._look(states, times, predicted)
         # The commands that are reached at the end of the period: the end of a state.
         first = np.linalg.norm(states[:, steps, -2:] - own.states[:, steps, -2:], axis=1)
         clear = others.stoppable & np.isinf(others.contact)
         if clear.any():
             keeping = clear & others.keeps
             best = int(np.argmin(np.where(keeping if keeping.any() else clear, first, np.inf)))
-            return self._guarded(states[best], Tier.AVOIDING)
+            return self._guarded(states[best], times, Tier.AVOIDING)
         found = own.found
-        states, first = np.concatenate([own.states, states]), np.append(0.0, first)
+        states = np.concatenate([own.states[:, : len(times)], states])
+        first = np.append(0.0, first)
         contact = np.append(found.contact, others.contact)
         gap, stops = np.append(found.gap, others.gap), np.append(found.stoppable, others.stoppable)
         # Contact latest; of those, who can stop, then who keeps the larger gap, then the plan's.
         order = np.lexsort((first, -np.round(gap, 2), ~stops, -np.round(contact, 1)))
         best = int(order[0])
-        return self._guarded(states[best], Tier.LATEST_CONTACT, float(contact[best]))
+        return self._guarded(states[best], times, Tier.LATEST_CONTACT, float(contact[best]))
 
     @cached_property
     def _now(self) -> Array:
@@ -180,14 +182,15 @@ class Judge:
         """The times that are looked at, and the index of the end of the period among them."""
         steps = max(1, round(self.period / self.settings.spacing))
         dt = self.period / steps
-        last = max(steps, round(self.settings.ahead / dt))
+        ahead = min(self.settings.ahead, float(self.scenario.density.times[-1]))
+        last = max(steps, round(ahead / dt))
         return dt * np.arange(last + 1, dtype=float), steps
 
     def _own(self, plan: Trajectory, planned: People) -> _Own:
         """Judged once: what is checked is what will be commanded."""
         if plan not in self._judged:
             states = self._followed(plan)
-            found = self._look(states, planned)
+            found = self._look(states, self._looks[0], planned)
             tier = Tier.CLEAR if found.keeps[0] else Tier.TOUCHING_NOBODY
             if not found.stoppable[0] or np.isfinite(found.contact[0]):
                 tier = Tier.AVOIDING
@@ -206,14 +209,12 @@ class Judge:
         wanted[:steps] = robot.model.commands_of(first)[1]
         return robot.model.driven(robot, self._now, wanted[None], times, self.lag)
 
-    def _guarded(self, states: Array, tier: Tier, contact: float = np.inf) -> Guarded:
-        times, steps = self._looks
+    def _guarded(self, states: Array, times: Array, tier: Tier, contact: float = np.inf) -> Guarded:
         trajectory = self.scenario.robot.model.trajectory(times, states)
-        return Guarded(trajectory, steps, tier, contact)
+        return Guarded(trajectory, self._looks[1], tier, contact)
 
-    def _look(self, states: Array, people: People) -> _Fan:
+    def _look(self, states: Array, times: Array, people: People) -> _Fan:
         """What M trajectories (M, S, dim) meet, and whether each can stop after a period."""
-        times, _ = self._looks
         gaps = _gaps(self.scenario, states[..., :2], times, people)
         wall = _walls(self.scenario, states[..., :2])
         allowed = np.minimum(gaps[:, :1], 0.0) - 1e-6

@@ -38,6 +38,8 @@ Mask = NDArray[np.bool_]
 Source = Callable[[Scenario, Belief], Sequence[Hypothesis]]
 """Hypotheses beside the routes: their `log_prior` stands beside −β (J_i − min J) of those."""
 
+FIXED = 1e-6
+"""Variance of a position that is known [m²]."""
 STANDS = 0.05
 """A robot that is to move less than this in the next second waits [m]."""
 
@@ -96,7 +98,7 @@ class Planner:
             memory = replace(memory, jumped="jumped" in problem)
             return self._carry_on(memory, observation, problem)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
-        scenario = _now(memory.scenario, observation)
+        scenario = _now(memory.scenario, observation, settings.lag)
         known = memory.observation is not None and not memory.jumped
         came_from = memory.scenario.robot.position if known else None
         mission, unknown = progressed(scenario, came_from, observation.facts)
@@ -340,15 +342,20 @@ class Planner:
         return self._judge(scenario, belief).command(wanted, predicted)
 
 
-def _now(scenario: Scenario, observation: Observation) -> Scenario:
+def _now(scenario: Scenario, observation: Observation, lag: float) -> Scenario:
     """What is known, with what an observation changes of it."""
+    covariance = observation.covariance
+    if covariance is None and lag == 0:
+        # What changes at once binds nothing: the velocity of a plan begins where it likes.
+        free = scenario.robot.max_speed**2
+        covariance = np.diag([FIXED, FIXED, free, free])
     robot: Robot = replace(
         scenario.robot,
         position=np.asarray(observation.position, dtype=float),
         velocity=np.asarray(observation.velocity, dtype=float),
         heading=observation.heading,
         yaw_rate=float(observation.yaw_rate),
-        covariance=observation.covariance,
+        covariance=covariance,
     )
     changes = {"robot": robot, "now": float(observation.time)}
     if observation.grid is not None:
