@@ -11,7 +11,7 @@ from fgplan.driving.pricing import Pricing
 from fgplan.driving.routing import Routing
 from fgplan.driving.tracking import Tracking
 from fgplan.inference import MAP, Inference
-from fgplan.solver import Solver
+from fgplan.solver import SecondOrder, Solver
 from fgplan.starts import Starts, starts
 
 
@@ -33,7 +33,9 @@ class Settings:
         lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
         routing, tracking, pricing, guard, intake: See there.
         starts: Where the optimiser starts from on a route; see `fgplan.starts`.
-        solver, select, inference: As `fgplan.plan` takes them.
+        solver: Of each plan; there will be another one in a moment, so a thousandth of a nat is
+            near enough.
+        select, inference: As `fgplan.plan` takes them.
     """
 
     period: float = 0.1
@@ -50,6 +52,6 @@ class Settings:
     guard: Guard = field(default_factory=Guard)
     intake: Intake = field(default_factory=Intake)
     starts: Starts = starts
-    solver: Solver | None = None
+    solver: Solver = SecondOrder(max_iterations=30, tolerance=1e-3, margin=0.0)  # noqa: RUF009
     select: selection.Rule = selection.height
     inference: Inference = field(default_factory=MAP)
