@@ -48,7 +48,7 @@ class OrcaRobot:
         self._goal = _goal(world.scenario)
         self._robot = world.scenario.robot
         self._period = world.rules.period
-        self._settle = SETTLE if world.scenario.goal_speed == 0 else self._period
+        self._settle = SETTLE if world.rules.slows_down else self._period
         self._settings = Orca() if settings is None else settings
         self._memory = Memory(world.scenario)
         self._motions: dict[tuple[float, ...], OrcaMotion] = {}

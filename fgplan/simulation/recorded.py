@@ -149,6 +149,7 @@ class Recorded:
                 time_limit=limit,
                 tolerance=TOLERANCE,
                 seen_by_people=False,
+                slows_down=False,
             ),
         )
 

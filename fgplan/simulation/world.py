@@ -33,6 +33,7 @@ class Rules:
         contact_ends: Whether a contact with a person ends the run.
         discomfort: A person whose edge is nearer than this feels uneasy [m].
         seen_by_people: Whether people see the robot.
+        slows_down: Whether ORCA's wish shrinks within a second of the goal, as CrowdNav's does.
         gap: What counts as the distance of robot and people during a substep.
     """
 
@@ -43,6 +44,7 @@ class Rules:
     contact_ends: bool = False
     discomfort: float = 0.2
     seen_by_people: bool = True
+    slows_down: bool = True
     gap: Gap = moved
 
 
