@@ -49,7 +49,8 @@ class Guard:
 
     Args:
         ahead: How far a plan is followed [s], at most to its end.
-        escape: How far another command is followed [s]: nobody knows what comes after it.
+        escape: How far another command is followed, and a contact on the plan's own refuses it [s]:
+            the next plan comes sooner.
         margin: Clearance from people that the first tier keeps [m].
         spacing: Between two looks along a trajectory [s].
         sigmas: By how many standard deviations of where they may be people grow while the robot
@@ -192,7 +193,8 @@ class Judge:
             states = self._followed(plan)
             found = self._look(states, self._looks[0], planned)
             tier = Tier.CLEAR if found.keeps[0] else Tier.TOUCHING_NOBODY
-            if not found.stoppable[0] or np.isfinite(found.contact[0]):
+            # Later contacts are for the hard check: following blindly drifts off the plan.
+            if not found.stoppable[0] or found.contact[0] <= self.settings.escape:
                 tier = Tier.AVOIDING
             self._judged[plan] = _Own(states, found, tier)
         return self._judged[plan]

@@ -98,7 +98,7 @@ class Planner:
             memory = replace(memory, jumped="jumped" in problem)
             return self._carry_on(memory, observation, problem)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
-        scenario = _now(memory.scenario, observation, settings.lag)
+        scenario = _now(memory.scenario, observation, settings.period)
         known = memory.observation is not None and not memory.jumped
         came_from = memory.scenario.robot.position if known else None
         mission, unknown = progressed(scenario, came_from, observation.facts)
@@ -342,13 +342,12 @@ class Planner:
         return self._judge(scenario, belief).command(wanted, predicted)
 
 
-def _now(scenario: Scenario, observation: Observation, lag: float) -> Scenario:
+def _now(scenario: Scenario, observation: Observation, period: float) -> Scenario:
     """What is known, with what an observation changes of it."""
-    covariance = observation.covariance
-    if covariance is None and lag == 0:
-        # What changes at once binds nothing: the velocity of a plan begins where it likes.
-        free = scenario.robot.max_speed**2
-        covariance = np.diag([FIXED, FIXED, free, free])
+    covariance, most = observation.covariance, scenario.robot.max_speed
+    if covariance is None and scenario.robot.max_acceleration * period >= 2 * most:
+        # Every velocity is reached within a period: a plan begins with the one it likes.
+        covariance = np.diag([FIXED, FIXED, most**2, most**2])
     robot: Robot = replace(
         scenario.robot,
         position=np.asarray(observation.position, dtype=float),
