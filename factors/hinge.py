@@ -60,7 +60,7 @@ class Hinge:
 
     def energy_of(self, d2: Array) -> Array:
         """½e² of a length √(d2 + TINY²), shape (...)."""
-        d = d2 + TINY**2
+        d = np.asarray(d2 + TINY**2)  # an array also where it is one number: it is written to
         e = self.error(np.sqrt(d, out=d))
         e *= e
         e *= 0.5
@@ -68,7 +68,7 @@ class Hinge:
 
     def radial(self, d2: Array) -> Radial:
         """½e² of a length d = √(d2 + TINY²), with its true curvature, as an energy of d2 (...)."""
-        inverse = d2 + TINY**2
+        inverse = np.asarray(d2 + TINY**2)
         d = np.sqrt(inverse)
         np.divide(1.0, d, out=inverse)
         e = np.asarray(d - self.threshold)

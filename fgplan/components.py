@@ -111,7 +111,7 @@ def component_of(
     ended = [f for f in own if f.solution.stop not in (Stop.MERGED, Stop.GIVEN_UP)] or own
     # Rounded, so that of two starts with one optimum the first is named.
     optima = _distinct(sorted(ended, key=lambda f: round(f.solution.energy, 6)))
-    best, result = _first_feasible(solving, optima)
+    best, result, lowest = _followed(solving, optima)
     solution = best.solution
     scenario, model = solving.scenario, solving.model
     robot = solving.robot(solution)
@@ -129,6 +129,7 @@ def component_of(
         log_prior=hypothesis.log_prior,
         cost=hypothesis.cost,
         energy=solution.energy - model.log_normalizer_own,
+        lowest=lowest - model.log_normalizer_own,
         log_evidence=inferred.log_evidence,
         converged=solution.converged,
         stop=solution.stop.value,
@@ -162,15 +163,18 @@ def _distinct(optima: list[Found]) -> list[Found]:
     return kept
 
 
-def _first_feasible(solving: Solving, optima: list[Found]) -> tuple[Found, Check]:
-    """The best optimum that passes the hard check, by grade, then energy; else the best."""
+def _followed(solving: Solving, optima: list[Found]) -> tuple[Found, Check, float]:
+    """The optimum to follow, its check, and the energy of the best one: of those that pass the
+    hard check, by grade, then energy; of all, by energy, where none passes it and is clear."""
     checked = []
     for optimum in optima:
-        result = solving.check(optimum.solution)
-        if result.fine:
-            return optimum, result
-        checked.append((optimum, result))
-    return min(checked, key=lambda pair: (not pair[1].feasible, pair[1].grade))
+        checked.append((optimum, solving.check(optimum.solution)))
+        if checked[-1][1].fine:
+            break
+    followed, result = min(checked, key=lambda pair: pair[1].grade if pair[1].clear else np.inf)
+    passed = [optimum for optimum, check in checked if check.feasible]
+    best = passed[0] if passed else followed
+    return followed, result, best.solution.energy
 
 
 def _displacement(belief: Belief, people: People) -> dict[str, float]:
@@ -207,6 +211,7 @@ def merge(solved: list[Solved]) -> list[Component]:
             label=f"{old.component.label}+{new.component.label}",
             log_prior=float(np.logaddexp(old.component.log_prior, new.component.log_prior)),
             cost=min(old.component.cost, new.component.cost),
+            lowest=min(old.component.lowest, new.component.lowest),
             iterations=keep.component.iterations + other.component.iterations,
             seconds=keep.component.seconds + other.component.seconds,
         )

@@ -26,7 +26,9 @@ class Component:
         label: Its name; hypotheses that ended in one optimum are joined with "+".
         log_prior: log w_i, summed over the hypotheses merged here.
         cost: Cost to go of its (best) global plan [s].
-        energy: −log p at the optimum, see `docs/conventions.md` [nats].
+        energy: −log p at the optimum that is followed, see `docs/conventions.md` [nats].
+        lowest: The same at the best optimum that passes the hard check: what the hypothesis is
+            scored by. It is another one only where a check grades optima.
         log_evidence: log Z_i by the inference method: by default Laplace with the true Hessian,
             summed over the distinct optima found; None where it gives none, as where no optimum
             has a positive definite Hessian.
@@ -55,6 +57,7 @@ class Component:
     log_prior: float
     cost: float
     energy: float
+    lowest: float
     log_evidence: float | None
     converged: bool
     stop: str
@@ -110,7 +113,7 @@ class Mixture:
         name: Of the scenario.
         now: Of the scenario [s].
         components: In the order of their score, best first.
-        probability_height: softmax(log w_i − energy_i), shape (K,).
+        probability_height: softmax(log w_i − lowest_i), shape (K,).
         probability_mass: softmax(log w_i + log Z_i), shape (K,); 0 where there is no evidence.
         selected: Index of the component that is followed; None when none is safe.
         trajectory: What will be driven: the selected plan, or the stop.

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 CHECK_SPACING = 0.05
 """Time between two checks [s]: 6 cm at 1.2 m/s."""
 TOLERANCE = 1e-6
+UNCLEAR = 2
+"""Grade of a trajectory that passes the hard check, but whose next command does not."""
 BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.25)
 """Decelerations tried for a stop, as shares of the robot's limit."""
 
@@ -41,7 +43,8 @@ class Check:
         first_contact: When the first contact with a person or obstacle happens [s]; inf if never.
         problems: Why the trajectory must not be driven; empty when it may.
         grade: Of two optima of a hypothesis that may be driven the lower grade is followed, then
-            the lower energy; 0 leaves nothing to be wished.
+            the lower energy: 0 leaves nothing to be wished, 1 something, and from `UNCLEAR` on its
+            next command needs another look.
     """
 
     min_separation: float
@@ -54,6 +57,11 @@ class Check:
     def feasible(self) -> bool:
         """Whether the trajectory may be driven."""
         return not self.problems
+
+    @property
+    def clear(self) -> bool:
+        """Whether it may be driven as it is."""
+        return self.feasible and self.grade < UNCLEAR
 
     @property
     def fine(self) -> bool:

@@ -17,7 +17,7 @@ Rule = Callable[[Sequence[Component]], Array]
 
 def height(components: Sequence[Component]) -> Array:
     """log w_i + log p(x_i*): the most probable single joint trajectory."""
-    return np.array([c.log_prior - c.energy for c in components])
+    return np.array([c.log_prior - c.lowest for c in components])
 
 
 def mass(components: Sequence[Component]) -> Array:

@@ -25,10 +25,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-NOT_CLEAR = "its command is not clear of people and walls"
-"""What is wrong with a plan that passes the hard check, but not as it would be executed now."""
-
-
 class Tier(IntEnum):
     """How safe a command is, best first."""
 
@@ -128,13 +124,9 @@ class Judge:
     _judged: dict[Trajectory, _Own] = field(default_factory=dict, repr=False)
 
     def check(self, scenario: Scenario, robot: Trajectory, people: People) -> Check:
-        """The hard check of a plan, and whether its own command is clear: a `Checker`."""
+        """The hard check of a plan; its grade is the tier of its command: a `Checker`."""
         found = check(self.scenario, robot, people)
-        tier = self._own(robot, people).tier
-        if tier > Tier.TOUCHING_NOBODY:
-            problems = (*found.problems, NOT_CLEAR)
-            return replace(found, problems=problems)
-        return replace(found, grade=int(tier))
+        return replace(found, grade=int(self._own(robot, people).tier))
 
     def command(self, plan: Trajectory, planned: People) -> Guarded:
         """The plan's command, if it is safe, else the safest one.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading, visible
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
-from fgplan.driving.guard import NOT_CLEAR, Guarded, Judge, Tier
+from fgplan.driving.guard import Guarded, Judge, Tier
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
@@ -214,7 +214,7 @@ class Planner:
         except NoPlan as error:
             memory = replace(memory, mixture=None)
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
-        chosen = _chosen(mixture, memory.followed, judge)
+        chosen = _chosen(mixture, judge)
         safe = judge.command(chosen.robot, _expected(chosen, judge))
         label = _route_of(chosen.label, memory.followed)
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
@@ -389,7 +389,7 @@ def _reached(scenario: Scenario, settings: Settings) -> bool:
     return float(np.hypot(*(scenario.goal - scenario.robot.position))) <= settings.goal_tolerance
 
 
-def _chosen(mixture: Mixture, followed: str | None, judge: Judge) -> Component:
+def _chosen(mixture: Mixture, judge: Judge) -> Component:
     """The selected component; where none is safe, the one that is safe longest.
 
     A route is left for a more probable one, not because the next command on it is not clear while
@@ -398,15 +398,9 @@ def _chosen(mixture: Mixture, followed: str | None, judge: Judge) -> Component:
     best = mixture.best
     if best is None:
         return max(mixture.components, key=lambda c: c.check.first_contact)
-    if followed is None or _route_of(best.label, followed) == followed:
+    if best.check.clear or judge.command(best.robot, _expected(best, judge)).tier is Tier.AVOIDING:
         return best
-    for component in mixture.components[: mixture.selected]:
-        stays = _route_of(component.label, followed) == followed
-        if stays and component.check.problems == (NOT_CLEAR,):
-            command = judge.command(component.robot, _expected(component, judge))
-            if command.tier is Tier.AVOIDING:
-                return component
-    return best
+    return next((c for c in mixture.components if c.check.clear), best)
 
 
 def _expected(component: Component, judge: Judge) -> Expected:

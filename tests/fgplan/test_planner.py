@@ -453,6 +453,7 @@ def test_of_a_hypothesis_optima_the_one_with_the_better_grade_is_followed():
     assert graded.feasible
     assert free.robot.at(3.0)[1] * graded.robot.at(3.0)[1] < 0
     assert graded.energy >= free.energy
+    assert graded.lowest == pytest.approx(free.lowest, abs=1e-6)
 
 
 def test_a_belief_of_the_callers_replaces_the_tracks():

@@ -22,7 +22,8 @@ from fgplan import (
 )
 from fgplan.driving import Detection, Observation, Outcome, Planner, Settings
 from fgplan.driving import planner as module
-from fgplan.driving.guard import NOT_CLEAR, Tier
+from fgplan.driving.guard import Tier
+from fgplan.safety import Check
 from fgplan.trajectory import Trajectory
 
 PERIOD = 0.2
@@ -285,26 +286,20 @@ def test_faults_of_every_kind_never_make_an_unsound_action(seed):
 
 
 @pytest.mark.parametrize(
-    ("problem", "tier", "expected"),
-    [
-        (NOT_CLEAR, Tier.AVOIDING, "A"),
-        (NOT_CLEAR, Tier.LATEST_CONTACT, "B"),
-        ("contact with a person at 0.95 s", Tier.AVOIDING, "B"),
-    ],
+    ("grade", "tier", "expected"),
+    [(1, Tier.LATEST_CONTACT, "A"), (2, Tier.AVOIDING, "A"), (2, Tier.LATEST_CONTACT, "B")],
 )
-def test_a_route_is_left_for_a_better_one_not_for_a_clear_command(problem, tier, expected):
+def test_a_route_is_left_for_a_better_one_not_for_a_clear_command(grade, tier, expected):
     # Seen to fail without it: in S3 the route flipped twenty times a run.
     path = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((2, 2)))
-    followed, other = (
-        SimpleNamespace(label=label, robot=path, crowd={}, check=SimpleNamespace(problems=problems))
-        for label, problems in (("A", (problem,)), ("B", ()))
+    best, other = (
+        SimpleNamespace(label=label, robot=path, crowd={}, check=Check(1.0, 1.0, np.inf, (), g))
+        for label, g in (("A", grade), ("B", 0))
     )
-    mixture = SimpleNamespace(best=other, components=(followed, other), selected=1)
+    mixture = SimpleNamespace(best=best, components=(best, other), selected=0)
     judge = SimpleNamespace(
         scenario=scenario(),
         belief=SimpleNamespace(radii=np.zeros(0)),
         command=lambda plan, people: SimpleNamespace(tier=tier),
     )
-    assert module._chosen(mixture, "A", judge).label == expected
-    assert module._chosen(mixture, "B", judge) is other
-    assert module._chosen(mixture, None, judge) is other
+    assert module._chosen(mixture, judge).label == expected
