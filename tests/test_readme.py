@@ -109,6 +109,8 @@ def test_the_table_of_inference_is_that_of_its_benchmark() -> None:
         cases.add(of)
         assert float(budget.removesuffix(" s")) > 0
         for cell, what in zip(cells, ("mean_error", "evidence_error"), strict=True):
+            if cell == "–":  # nothing gives it within the budget
+                continue
             name, _, error = cell.partition(": ")
             assert name in known
             if of == "two modes":
