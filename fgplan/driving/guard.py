@@ -29,9 +29,9 @@ class Tier(IntEnum):
     """How safe a command is, best first."""
 
     CLEAR = 0
-    """A margin is kept all along, and the robot can stop."""
+    """A margin is kept along the whole plan, and the robot can stop."""
     TOUCHING_NOBODY = 1
-    """Nobody is touched, and the robot can stop."""
+    """Nobody is touched for as long as an escape is followed, and the robot can stop."""
     AVOIDING = 2
     """The same, by another command than the plan's: the nearest one, of those that keep the margin
     if any does."""
@@ -137,7 +137,8 @@ class Judge:
         """
         own = self._own(plan, planned)
         if own.tier < Tier.AVOIDING:
-            return self._guarded(own.states[0], self._looks[0], own.tier)
+            contact = float(own.found.contact[0])
+            return self._guarded(own.states[0], self._looks[0], own.tier, contact)
         return self._escape(own)
 
     def _escape(self, own: _Own) -> Guarded:

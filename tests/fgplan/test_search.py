@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -211,7 +210,7 @@ def test_turns_under_a_deadline_find_what_all_at_once_find():
     assembly, hypotheses = crowded()
     solver = SecondOrder(margin=0.0)
     together = search(assembly, hypotheses, solver)
-    in_turns = search(assembly, hypotheses, solver, until=perf_counter() + 60.0)
+    in_turns = search(assembly, hypotheses, solver, until=1e12)  # finite, and never
     assert [f.rank for f in sorted(in_turns.found, key=lambda f: f.rank)] == list(
         range(len(hypotheses[0].starts))
     )
