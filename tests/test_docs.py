@@ -15,7 +15,10 @@ def test_python_blocks_run_one_after_the_other(page, tmp_path, monkeypatch):
     (tmp_path / "data").symlink_to(page.parents[1] / "data")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for block in re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), flags=re.DOTALL):
+    text = page.read_text("utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(blocks) == text.count("```python")  # none is missed
+    for block in blocks:
         exec(compile(block, str(page), "exec"), names)
 
 

@@ -45,7 +45,7 @@ STANDS = 0.05
 
 
 class Planner:
-    """Drives one robot: `step` takes what is seen now and returns what to do now, for hours.
+    """Drives one robot: `step` takes what is seen now and returns what to do now.
 
     Args:
         scenario: Robot, goal, map, field of view and density to begin with; its tracks are not
