@@ -13,7 +13,7 @@ from factors.hinge import Hinge, hinge_scale, linearize_norm, norm
 from factors.radial import components, square
 from factors.residual import Array, Expansion, Residual
 
-AT_REST = 1e-3
+AT_REST = 5e-4
 """Smooths |v| and |ω|·radius around 0 in a curvature limit [m/s]."""
 
 
@@ -268,6 +268,61 @@ class CurvatureLimit(Residual):
         slope = sign * moving / size
         second = np.array([-1.0, self.radius**2]) * AT_REST**2 / size**3
         return size[..., 1] - size[..., 0], slope, second
+
+
+@dataclass(frozen=True, eq=False)
+class RestBetweenDirections(Residual):
+    r"""e = √weight · max(0, −v_k v_{k+1})/sigma on two consecutive states (x, y, θ, v, ω).
+
+    A car that changes direction is at rest at one of its states: there its wheels are straight,
+    and the cone of its curvature is convex on either side of it.
+
+    Args:
+        sigma: Of the product of two speeds of opposite sign [m²/s²]; inf switches the penalty off.
+        weight: Exponent of the potential, dt/t_ref.
+
+    Raises:
+        ValueError: sigma is not positive, or weight is negative.
+    """
+
+    sigma: float
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        hinge_scale(self.sigma, self.weight)
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        return (5, 5)
+
+    @property
+    def rows(self) -> int:
+        return 1
+
+    @cached_property
+    def support(self) -> NDArray[np.intp]:
+        return np.array([3, 8])
+
+    @cached_property
+    def _hinge(self) -> Hinge:
+        return Hinge(0.0, hinge_scale(self.sigma, self.weight), "above")
+
+    def error(self, *x: Array) -> Array:
+        return self._hinge.error(-x[0][..., 3] * x[1][..., 3])[..., None]
+
+    def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
+        e, slope = self._hinge.linearize(*self._product(*x))
+        J = np.zeros((2, *e.shape, 1, 5))
+        J[0, ..., 0, 3], J[1, ..., 0, 3] = slope[..., 0], slope[..., 1]
+        return e[..., None], (J[0], J[1])
+
+    def expand(self, *x: Array) -> Expansion:
+        return self._hinge.expand(*self._product(*x), np.array([[0.0, -1.0], [-1.0, 0.0]]))
+
+    def _product(self, before: Array, after: Array) -> tuple[Array, Array]:
+        """−v_k v_{k+1} and its gradient (..., 2)."""
+        v, w = before[..., 3], after[..., 3]
+        return -v * w, -np.stack([w, v], axis=-1)
 
 
 def _check(limit: float, dim: int) -> None:

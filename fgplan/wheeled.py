@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.kinematics import CurvatureLimit, LinearLimit
+from factors.kinematics import CurvatureLimit, LinearLimit, RestBetweenDirections
 from factors.residual import Residual
 from factors.unicycle import InPlane, UnicycleMotion, advance, planar, slip, unicycle_prior
 from fgplan.robots import LIMIT_SHARE, PACES, Bound, Piece, Twist
@@ -37,6 +37,8 @@ HEADING_DEFECT = 1e-4
 """Standard deviation of the heading's defect a step [rad]."""
 TURNS = 9
 """Turn rates that are tried when a plan must not be driven."""
+STANDING = 0.01
+"""Share of `limit_sigma` that a car may still move with where it changes direction."""
 STIFF = 0.1
 """Limits that leave no room at rest (reverse, curvature) have this share of `limit_sigma`."""
 
@@ -90,6 +92,9 @@ class _Wheeled(ABC):
         if self._radius > 0:
             curvature = CurvatureLimit(self._radius / LIMIT_SHARE, STIFF * sigma, weight)
             yield Piece("curvature limit", curvature, (0,), 1)
+        if self._radius > 0 and self._reverse > 0:
+            rest = RestBetweenDirections(STANDING * robot.max_speed * sigma, weight)
+            yield Piece("rest between directions", rest, (0, 1))
         limit = LIMIT_SHARE * np.repeat([acceleration, self._yaw[1]], 2)
         change = LinearLimit((-both / dt, both / dt), limit, sigma, weight)
         yield Piece("acceleration limit", change, (0, 1))
@@ -222,9 +227,10 @@ class _Wheeled(ABC):
         yield bound("yaw acceleration", alpha, self._yaw[1], "rad/s²")
 
     def _cusps(self, v: Array, w: Array) -> Array:
-        """radius·|ω| at the moments between states when the speed changes its sign."""
+        """radius·|ω| at the moments between states when the speed changes its sign. A state that
+        stands, within the tolerance, is no such moment: its own wheels have been looked at."""
         before, after = v[..., :-1], v[..., 1:]
-        crossing = before * after < 0
+        crossing = (before * after < 0) & (np.minimum(np.abs(before), np.abs(after)) > CREEP)
         share = np.where(crossing, before / np.where(crossing, before - after, 1.0), 0.0)
         turn = w[..., :-1] + share * np.diff(w)
         return np.where(crossing, self._radius * np.abs(turn), 0.0)

@@ -14,7 +14,12 @@ from scipy.integrate import solve_ivp
 
 from factors.distance_field import SignedDistanceField
 from factors.gp_prior import GPPrior
-from factors.kinematics import CurvatureLimit, LinearLimit, SpeedLimit
+from factors.kinematics import (
+    CurvatureLimit,
+    LinearLimit,
+    RestBetweenDirections,
+    SpeedLimit,
+)
 from factors.obstacle import InterpolatedObstacle
 from factors.residual import Linear, Residual
 from factors.unicycle import InPlane, UnicycleMotion, advance, planar, slip, unicycle_prior
@@ -25,6 +30,7 @@ speeds, turns, angles = st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-7
 RNG = np.random.default_rng(0)
 STATE = np.array([0.3, -0.2, 0.7, 0.8, -0.5])
 NEXT = np.array([0.6, -0.1, 0.9, 1.1, 0.4])
+BACK = np.array([0.6, -0.1, 0.9, -0.7, 0.4])
 
 
 def twisted(theta: float, v: float, omega: float) -> tuple[Any, Any]:
@@ -140,6 +146,7 @@ RESIDUALS: list[tuple[Residual, int]] = [
     (InPlane(InterpolatedObstacle(field(), 0.25, 0.3, 0.2, DT, 2)), 2),
     (InPlane(SpeedLimit(0.5, 0.2)), 1),
     (CurvatureLimit(0.9, 0.2, 0.7), 1),
+    (RestBetweenDirections(0.2, 0.7), 2),
     (LinearLimit((RNG.normal(size=(3, 5)), RNG.normal(size=(3, 5))), np.zeros(3), 0.4), 2),
     (LinearLimit((np.eye(5)[3:],), np.array([0.4, 0.1]), 0.4, 0.5), 1),
 ]
@@ -148,6 +155,7 @@ RESIDUALS: list[tuple[Residual, int]] = [
 @pytest.mark.parametrize(("residual", "count"), RESIDUALS, ids=lambda r: type(r).__name__)
 def test_derivatives(residual: Residual, count: int) -> None:
     check_derivatives(residual, *(STATE, NEXT)[:count])
+    check_derivatives(residual, *(STATE, BACK)[:count])
     check_derivatives(residual, *(NEXT, STATE)[:count])
 
 
@@ -169,6 +177,16 @@ def test_standing_car_is_within_its_curvature() -> None:
     assert CurvatureLimit(0.8, 0.01).energy(np.zeros(5)) == 0.0
 
 
+@given(speeds, speeds)
+def test_a_car_rests_between_directions(before: float, after: float) -> None:
+    x = np.zeros((2, 5))
+    x[:, 3] = before, after
+    expected = max(0.0, -before * after) / 0.1
+    assert_allclose(RestBetweenDirections(0.1).error(*x), [expected], atol=1e-12)
+    x[1, 3] = 0.0
+    assert RestBetweenDirections(0.1).energy(*x) == 0.0
+
+
 def test_linear_limit_is_one_sided() -> None:
     limit = LinearLimit((np.array([[1.0, 0.0], [0.0, -1.0]]),), np.array([1.0, 0.5]), 0.1)
     assert_allclose(limit.error(np.array([1.2, 0.3])), [2.0, 0.0], atol=1e-12)
@@ -186,6 +204,7 @@ ERRORS: list[tuple[Any, str]] = [
     (lambda: InPlane(UnicycleMotion(0.4, 0.1)), "planar state has size 4"),
     (lambda: CurvatureLimit(0.0, 0.1), "radius must be positive"),
     (lambda: CurvatureLimit(1.0, 0.0), "sigma must be positive"),
+    (lambda: RestBetweenDirections(-0.1), "sigma must be positive"),
     (lambda: LinearLimit((np.eye(2),), np.zeros(3), 0.1), "does not fit 3 limits"),
     (lambda: LinearLimit((np.eye(2),), np.zeros(2), 0.0), "sigma must be positive"),
 ]

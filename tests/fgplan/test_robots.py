@@ -162,8 +162,6 @@ def test_plans_respect_the_limits_and_never_slide(model: Any, scene: str) -> Non
         mixture = plan(scenario)
         assert mixture.selected is not None
         for component in mixture.components:
-            if not component.feasible:
-                continue
             states = model.states(component.robot)
             assert_within(scenario.robot, states, scenario.density.dt)
             assert slip(states, scenario.density.dt).max() <= 1e-3
