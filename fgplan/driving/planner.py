@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.crowd import Belief, heading, visible
+from fgplan.crowd import Belief, heading, seen, visible
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
 from fgplan.driving.guard import Guarded, Judge, Tier
 from fgplan.driving.memory import Memory
@@ -48,8 +48,8 @@ class Planner:
     """Drives one robot: `step` takes what is seen now and returns what to do now.
 
     Args:
-        scenario: Robot, goal, map, field of view and density to begin with; its tracks are not
-            used, people come with the observations.
+        scenario: Robot, goal, map, field of view and density to begin with; its tracks are the
+            people seen before the first observation.
         settings: Everything else.
         sources: Hypotheses beside the routes, e.g. `CandidateGoals` where no goal is known.
 
@@ -66,11 +66,13 @@ class Planner:
         validate(scenario)
         self.settings = settings
         self.sources = tuple(sources)
-        self.memory = Memory(
-            scenario.replace(tracks=(), data=()), operated=Operated(waiting=scenario.data)
-        )
         d = scenario.density
         self._tracker = Tracker(d.Qc_people, d.sigma_track, d.sigma_speed, settings.tracking)
+        self.memory = Memory(
+            scenario.replace(tracks=(), data=()),
+            people=self._tracker.recall(seen(scenario), scenario.now),
+            operated=Operated(waiting=scenario.data),
+        )
 
     def step(self, observation: Observation) -> Decision:
         """What to do until the next step. It never raises: what goes wrong is a stop that says so.
@@ -141,8 +143,8 @@ class Planner:
             mask = sees(np.array([d.position for d in detections], dtype=float))
             detections = tuple(d for d, seen in zip(detections, mask, strict=True) if seen)
         people = memory.people
-        if memory.observation is None:
-            people = replace(people, time=observation.time)
+        if memory.observation is None and observation.time < people.time:
+            people = People(time=observation.time)  # on another clock
         return self._tracker.update(people, observation.time, detections, sees)
 
     def _price(self, memory: Memory, belief: Belief) -> Memory:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.crowd import Belief
+from fgplan.crowd import Belief, believe
 from fgplan.driving.observation import Detection
+from fgplan.scenario import Track
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -110,6 +111,21 @@ class Tracker:
     sigma_speed: float
     settings: Tracking = Tracking()
 
+    def recall(self, tracks: Sequence[Track], now: float) -> People:
+        """The people of tracks that end before now, in the order of the tracks."""
+        belief = believe(tracks, now, self.Qc, self.sigma_track, self.sigma_speed)
+        n, P = belief.count, belief.covariance
+        return People(
+            time=now,
+            names=belief.names,
+            mean=belief.mean,
+            spread=np.stack([P[:, 0, 0], P[:, 0, 2], P[:, 2, 2]], axis=-1),
+            radii=belief.radii,
+            seen=np.array([track.times[-1] for track in tracks], dtype=float),
+            missed=np.zeros(n, dtype=np.intp),
+            suspect=np.zeros(n, dtype=np.intp),
+        )
+
     def predict(self, people: People, time: float) -> People:
         """The same people at a later time, by the prior alone."""
         t = time - people.time
@@ -151,7 +167,8 @@ class Tracker:
         old = [(i, d) for i, d in zip(owner, detections, strict=True) if i >= 0]
         new = [d for i, d in zip(owner, detections, strict=True) if i == NOBODY]
         rows = np.array([i for i, _ in old], dtype=np.intp)
-        people = self._correct(people, rows, [d for _, d in old])
+        fresh = [k for k, row in enumerate(rows.tolist()) if people.seen[row] < time]
+        people = self._correct(people, rows[fresh], [old[k][1] for k in fresh])
         unseen = np.ones(len(people.names), dtype=bool)
         unseen[rows] = False
         suspect = np.where(unseen, people.suspect, 0)

@@ -19,6 +19,7 @@ from fgplan import (
     Robot,
     Scenario,
     ScenarioError,
+    Track,
 )
 from fgplan.driving import Detection, Observation, Outcome, Planner, Settings
 from fgplan.driving import planner as module
@@ -139,6 +140,23 @@ def test_who_is_out_of_range_changes_no_bit_and_who_is_within_does():
     alone = driven()
     np.testing.assert_array_equal(driven([0.0, 3.01, 0.0, 0.1], [-3.5, 0.0, -1.0, 0.0]), alone)
     assert not np.array_equal(driven([2.5, 0.3, 0.0, 0.0]), alone)
+
+
+def test_people_of_the_scenario_are_known_before_they_are_detected():
+    """With a past somebody has a velocity; on another clock it is not theirs."""
+    t = np.array([-0.8, -0.4, 0.0])
+    walker = Track("anna", t, np.column_stack([3.0 - t, 0.3 + 0 * t]))
+    step = Observation(0.0, np.zeros(2), np.zeros(2), detections=None)
+    planner = Planner(scenario(tracks=(walker,)), Settings(deadline=None))
+    planner.step(step)
+    assert planner.memory.people.names == ("anna",)
+    np.testing.assert_allclose(planner.memory.people.mean[0, 2:], [-1.0, 0.0], atol=0.05)
+    late = Planner(scenario(tracks=(walker,)), Settings(deadline=None))
+    late.step(replace(step, time=1e6))
+    assert late.memory.people.names == ()
+    early = Planner(scenario(tracks=(walker,)), Settings(deadline=None))
+    early.step(replace(step, time=-5.0))
+    assert early.memory.people.names == ()
 
 
 def test_the_same_observations_give_the_same_bits():

@@ -45,6 +45,25 @@ def test_the_filter_is_the_posterior_of_the_whole_track(seed):
     np.testing.assert_allclose(belief.covariance, expected.covariance, rtol=1e-9, atol=1e-12)
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 7))
+def test_who_was_seen_before_is_followed_on(seed, before):
+    """Half of a track told at first, the rest detected: the same as all of it, also where the
+    last of the track is detected once more."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.05, 0.5, 8))
+    positions = np.outer(times, rng.normal(size=2)) + 0.04 * rng.standard_normal((8, 2))
+    loose = Tracker(0.03, 0.04, 1.5, Tracking(jump=100.0))
+    known = Track("anna", times[:before], positions[:before], 0.2)
+    people = loose.recall([known], times[before - 1])
+    assert people.radii.tolist() == [0.2]
+    for t, p in zip(times[before - 1 :], positions[before - 1 :], strict=True):
+        people, _ = loose.update(people, t, [Detection(p, "anna", 0.2)], everywhere)
+    expected = believe([Track("anna", times, positions)], times[-1], 0.03, 0.04, 1.5)
+    np.testing.assert_allclose(people.belief(0.03).mean, expected.mean, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(people.belief(0.03).covariance, expected.covariance, atol=1e-12)
+
+
 def test_a_detected_velocity_is_a_measurement_of_it():
     detection = Detection(np.array([1.0, 2.0]), "anna", velocity=np.array([0.6, -0.8]))
     people = People(time=0.0)
