@@ -216,7 +216,8 @@ class Roadmap:
         row, col = np.nonzero(self.free[low[1] : high[1], low[0] : high[0]])
         found = np.stack([col, row], axis=-1) + low
         away = np.linalg.norm(found - point, axis=1)
-        order = np.argsort(away)[: np.count_nonzero(away <= within)]
+        # Of nodes equally far the first: which one must not depend on rounding, or on the machine.
+        order = np.argsort(np.round(away, 6), kind="stable")[: np.count_nonzero(away <= within)]
         for some in (order[k : k + 32] for k in range(0, len(order), 32)):
             visible = ~self.crosses_obstacle(point, found[some].astype(float))
             if visible.any():
