@@ -8,97 +8,23 @@ steps in one call a term, and its curvature is kept in small blocks until a syst
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import pairwise
-from typing import Any, NamedTuple
+from dataclasses import replace
+from functools import cached_property
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from factors.pairwise import PredictedPairs, Together
 from factors.residual import Expansion, Linear, Residual
 from factors.unicycle import UnicycleMotion
-from fgplan import keys
-from fgplan.block_tridiagonal import Chains, System, solve_each
+from fgplan.backend import Backend, fastest
+from fgplan.block_tridiagonal import Chains, System, chunks, solve_each
 from fgplan.model import Model, Term
 from fgplan.shear import Shear
+from fgplan.wiring import Wired, interleaved, wire, wire_user
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Expand = Callable[[Residual, list[Array]], Expansion]
-
-CHUNK = 65536
-"""Numbers in the Hessian blocks that are laid out at once: they should stay in the cache."""
-
-
-class _Part(NamedTuple):
-    """Where one block of an expansion belongs in the band: steps of the rows, whether the columns
-    are of the next step, places in the band, places in the expansion, and which entries are on or
-    below the diagonal (None: all)."""
-
-    steps: slice
-    next: bool
-    into: tuple[slice, slice]
-    out_of: tuple[slice, slice]
-    mask: NDArray[np.bool_] | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Wired:
-    """A nonlinear term with the places of its variables in the state.
-
-    `runs` are contiguous runs of the residual's support: (offset in time, slice of the state,
-    slice of the expansion). A term that reaches further than the next time step is no part of
-    the chain: its curvature is kept apart, on the places `far` of the flattened state. `band` says
-    where its blocks are in the band of `Chains`. `held` are
-    (which of the steps, mask (s, s)) where some of the support is known without error, None where
-    all of it is.
-    """
-
-    residual: Residual
-    slots: tuple[tuple[slice, slice], ...]
-    first: slice
-    runs: tuple[tuple[int, slice, slice], ...]
-    band: tuple[_Part, ...] = ()
-    far: Index | None = None
-    held: tuple[tuple[int, NDArray[np.bool_] | None], ...] = ()
-
-    def variables(self, X: Array) -> list[Array]:
-        return [X[..., steps, columns] for steps, columns in self.slots]
-
-    def steps(self, offset: int) -> slice:
-        return _moved(self.first, offset)
-
-    def hold(self, part: Array) -> None:
-        """No curvature where the state is known without error."""
-        for at, mask in self.held:
-            part[:, at] = 0.0 if mask is None else np.where(mask, part[:, at], 0.0)  # not inf·0
-
-    def add_gradient(self, part: Array, gradient: Array) -> None:
-        for offset, columns, rows in self.runs:
-            gradient[..., self.steps(offset), columns] += part[..., rows]
-
-    def add_hessian(self, part: Array, diagonal: Array, upper: Array) -> None:
-        """Add blocks (..., steps, s, s) into the chain."""
-        for at_row, into_rows, rows in self.runs:
-            for at_column, into_columns, columns in self.runs:
-                block = part[..., rows, columns]
-                if at_row == at_column:
-                    diagonal[..., self.steps(at_row), into_rows, into_columns] += block
-                elif at_row < at_column:
-                    upper[..., self.steps(at_row), into_rows, into_columns] += block
-
-    def add_lower(self, part: Array, chains: Chains) -> None:
-        """The same into the band, of the diagonal blocks only what is on and below the diagonal."""
-        for steps, off, (into_rows, into_columns), (rows, columns), mask in self.band:
-            block = part[..., rows, columns]
-            if mask is not None:
-                block = np.where(mask, block, 0.0)
-            blocks = chains.upper if off else chains.diagonal
-            blocks[:, steps, into_rows, into_columns] += block
 
 
 class Quadratic:
@@ -117,11 +43,11 @@ class Quadratic:
         self.linear_energy = assembly.constant[which] + _dot(self.linear_gradient - 0.5 * curve, d)
         self.energy = self.linear_energy.copy()
         self.gradient = self.linear_gradient.copy()
-        self._parts: list[tuple[_Wired, Array]] = []
+        self._parts: list[tuple[Wired, Array]] = []
         self._far: list[tuple[Index, Array]] = []
         for wired in assembly.nonlinear:
             part = expand(wired.residual, wired.variables(X))
-            self.energy += part.energy.sum(-1)
+            self.energy += np.add.reduce(part.energy, axis=-1)
             wired.add_gradient(part.gradient, self.gradient)
             wired.hold(part.hessian)
             if wired.far is None:
@@ -152,7 +78,7 @@ class Quadratic:
     def newton(self) -> tuple[Array, NDArray[np.bool_]]:
         """Steps −H⁻¹ g of all B expansions, shape (B, S, D), zero where H is not positive definite,
         and where it is (B,)."""
-        return self._solve(np.arange(len(self.energy)), self._parts)
+        return self._solve(self._which, self.gradient, self._parts)
 
     def flattened(self, rows: Index) -> tuple[Array, NDArray[np.bool_]]:
         """The same of some of them without what curves downwards, shape (R, S, D) and (R,): small
@@ -167,25 +93,25 @@ class Quadratic:
                 flat = wired.residual.gauss_newton(*wired.variables(self._X[rows])).hessian
                 wired.hold(flat)
                 parts.append((wired, flat))
-        return self._solve(rows, parts)
+        return self._solve(self._which[rows], self.gradient[rows], parts, rows)
 
     def _solve(
-        self, rows: Index, parts: Sequence[tuple[_Wired, Array]]
+        self,
+        which: Index,
+        gradient: Array,
+        parts: Sequence[tuple[Wired, Array]],
+        rows: Index | slice = slice(None),
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Newton steps of some expansions, whose curvature is given."""
-        which, gradient = self._which[rows], self.gradient[rows]
-        steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
+        """Newton steps of the expansions in some rows, with their hypotheses, gradients and
+        curvature."""
+        assembly = self._assembly
         if not self._far:
-            constant = self._assembly.chains
-            for here in _chunks(len(rows), constant.data[0].size):
-                chains = constant.take(self._assembly.row[which[here]])
-                for wired, part in parts:
-                    wired.add_lower(part[here], chains)
-                steps[here], definite[here] = chains.solve(-gradient[here])
-            return steps, definite
-        for here in _chunks(len(rows), gradient[0].size * gradient.shape[-1]):
-            links = tuple((places, part[rows[here]]) for places, part in self._far)
-            blocks = self._assembly.held_hessian(which[here])
+            return assembly.backend.steps(assembly.chains, assembly.row[which], parts, gradient)
+        steps, definite = np.empty_like(gradient), np.empty(len(which), dtype=bool)
+        far = [(places, part[rows]) for places, part in self._far]
+        for here in chunks(len(which), gradient[0].size * gradient.shape[-1]):
+            links = tuple((places, part[here]) for places, part in far)
+            blocks = assembly.held_hessian(which[here])
             for wired, part in parts:
                 wired.add_hessian(part[here], *blocks)
             steps[here], definite[here] = solve_each(*blocks, links, -gradient[here])
@@ -193,7 +119,7 @@ class Quadratic:
 
     def systems(self, rows: Index) -> Iterator[tuple[int, System]]:
         """Each of some rows with its Hessian, laid out a few at a time."""
-        for here in _chunks(len(rows), self.gradient[0].size * self.gradient.shape[-1]):
+        for here in chunks(len(rows), self.gradient[0].size * self.gradient.shape[-1]):
             chunk = rows[here]
             for b, diagonal, upper in zip(chunk.tolist(), *self.hessian(chunk), strict=True):
                 yield b, System(diagonal, upper, tuple((i, part[b]) for i, part in self._far))
@@ -204,6 +130,7 @@ class Assembly:
 
     Args:
         models: One per hypothesis.
+        backend: What its terms and systems are computed with; by default the fastest there is.
 
     Attributes:
         pace: What a start took in the last iteration of a solver [s].
@@ -213,8 +140,9 @@ class Assembly:
             a user's factor is on a variable that does not exist.
     """
 
-    def __init__(self, models: Sequence[Model]) -> None:
+    def __init__(self, models: Sequence[Model], backend: Backend | None = None) -> None:
         self.models = tuple(models)
+        self.backend = fastest() if backend is None else backend
         first = self.models[0]
         if any(m.shared is not first.shared or m.columns != first.columns for m in self.models):
             raise ValueError("models of one assembly must come from one build")
@@ -226,16 +154,17 @@ class Assembly:
         self.free = np.ones((S, D), dtype=bool)
         for name, k in first.fixed:
             self.free[k, first.columns[name]] = False
-        self.order = _interleaved(first)
+        self.order = interleaved(first)
         curved = [term for term in first.shared if not isinstance(term.residual, Linear)]
-        self.nonlinear = [_wire(term, first.columns, self.order) for term in _fused(curved)]
-        self.nonlinear += [_wire_user(factor, first, self.order) for factor in first.extra]
+        terms = self.backend.fused(curved)
+        self.nonlinear = [wire(term, first.columns, self.order) for term in terms]
+        self.nonlinear += [wire_user(factor, first, self.order) for factor in first.extra]
         self._known = np.flatnonzero(~self.free.all(axis=1)).tolist()
         self.nonlinear = [self._held(wired) for wired in self.nonlinear]
         self.held = [(k, np.flatnonzero(~self.free[k])) for k in self._known]
         self._add_linear()
 
-    def _held(self, wired: _Wired) -> _Wired:
+    def _held(self, wired: Wired) -> Wired:
         """With masks for what is known without error, so that it has no curvature."""
         first, held = wired.first, []
         steps = range(first.start, first.stop, first.step or 1)
@@ -254,16 +183,16 @@ class Assembly:
                 held.append((at, np.outer(free, free) if free.any() else None))
         return replace(wired, held=tuple(held)) if held else wired
 
-    def wired(self, which: int) -> Iterator[tuple[_Wired, Term]]:
+    def wired(self, which: int) -> Iterator[tuple[Wired, Term]]:
         """All terms of one hypothesis with their places in the state, then the user's factors."""
         model = self.models[which]
         for term in model.terms:
-            yield _wire(term, model.columns, self.order), term
+            yield wire(term, model.columns, self.order), term
         for factor in model.extra:
-            wired = _wire_user(factor, model, self.order)
+            wired = wire_user(factor, model, self.order)
             yield wired, Term("yours", wired.residual, (), range(1))
 
-    def linear_terms(self, which: int) -> Iterator[tuple[_Wired, Linear]]:
+    def linear_terms(self, which: int) -> Iterator[tuple[Wired, Linear]]:
         """The linear-Gaussian terms of one hypothesis, with their places in the state."""
         for wired, term in self.wired(which):
             if isinstance(term.residual, Linear):
@@ -281,7 +210,7 @@ class Assembly:
         columns = self.models[0].columns
         for term in self.models[0].shared:
             if isinstance(term.residual, Linear):
-                wired = _wire(term, columns, self.order)
+                wired = wire(term, columns, self.order)
                 part = term.residual.gauss_newton(*wired.variables(self.reference))
                 self.constant += part.energy.sum(-1)
                 wired.add_gradient(part.gradient, self.gradient)
@@ -289,15 +218,14 @@ class Assembly:
         for i, model in enumerate(self.models):
             row = self.row[i]
             for term in model.own:
-                wired = _wire(term, columns, self.order)
+                wired = wire(term, columns, self.order)
                 part = term.residual.gauss_newton(*wired.variables(model.reference))
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:
                     wired.add_hessian(part.hessian, self._diagonal[row], self._upper[row])
-        self._sparse = [
-            _sparse(*blocks) for blocks in zip(self._diagonal, self._upper, strict=True)
-        ]
+        blocks = zip(self._diagonal, self._upper, strict=True)
+        self._products = [self.backend.product(*each) for each in blocks]
         self._held_diagonal, self._held_upper = self._diagonal.copy(), self._upper.copy()
         self.hold_fixed(self._held_diagonal, self._held_upper)
 
@@ -391,15 +319,14 @@ class Assembly:
 
     def times(self, d: Array, which: Index) -> Array:
         """Constant Hessian times d, shape (..., S, D)."""
-        columns = d.reshape(-1, d.shape[-2] * d.shape[-1]).T
-        if len(self._sparse) == 1:
-            product = self._sparse[0] @ columns
-        else:
-            product = np.empty_like(columns)
-            row = np.broadcast_to(self.row[which], d.shape[:-2]).ravel()
-            for i in np.unique(row):
-                product[:, row == i] = self._sparse[i] @ columns[:, row == i]
-        return np.ascontiguousarray(product.T).reshape(d.shape)
+        flat = d.reshape(-1, *d.shape[-2:])
+        if len(self._products) == 1:
+            return self._products[0](flat).reshape(d.shape)
+        product = np.empty_like(flat)
+        rows = np.broadcast_to(self.row[which], d.shape[:-2]).ravel()
+        for i in np.unique(rows):
+            product[rows == i] = self._products[i](flat[rows == i])
+        return product.reshape(d.shape)
 
     def linear_hessian(self, which: Index) -> tuple[Array, Array]:
         """Copies of the constant Hessian blocks, one per hypothesis asked for."""
@@ -419,7 +346,7 @@ class Assembly:
         """Energy of what is not linear-Gaussian, never negative; X has shape (..., S, D)."""
         total = np.zeros(X.shape[:-2])
         for wired in self.nonlinear:
-            total += wired.residual.energy(*wired.variables(X)).sum(-1)
+            total += np.add.reduce(wired.residual.energy(*wired.variables(X)), axis=-1)
         return total
 
 
@@ -456,52 +383,6 @@ def _clamped(H: Array) -> Array:
     return out
 
 
-def _chunks(count: int, size: int) -> Iterator[slice]:
-    """As many of `count` items of a size at once as `CHUNK` has room for."""
-    some = max(1, CHUNK // size)
-    for at in range(0, count, some):
-        yield slice(at, at + some)
-
-
-def _interleaved(model: Model) -> Index:
-    """Place of each coordinate in the band: each of the people's positions beside its velocity,
-    with which alone the prior links it in the next step."""
-    order = np.arange(model.reference.shape[1])
-    if "crowd" in model.columns:
-        crowd = model.columns["crowd"]
-        half = (crowd.stop - crowd.start) // 2
-        order[crowd] = crowd.start + np.arange(2 * half).reshape(half, 2).T.ravel()
-    return order
-
-
-def _progressions(values: list[int]) -> Iterator[tuple[int, int]]:
-    """Ranges of indices in which values grow by equal steps."""
-    start = 0
-    while start < len(values):
-        end = start + 1
-        step = values[end] - values[start] if end < len(values) else 0
-        while step > 0 and end < len(values) and values[end] - values[end - 1] == step:
-            end += 1
-        yield start, end
-        start = end
-
-
-def _fused(terms: Sequence[Term]) -> Iterator[Term]:
-    """The terms, those between the robot and the same held people as one: where people are is
-    then looked at once."""
-    alike: dict[tuple[int, range], list[tuple[Term, PredictedPairs]]] = {}
-    for term in terms:
-        if isinstance(term.residual, PredictedPairs):
-            key = (id(term.residual.people), term.steps)
-            alike.setdefault(key, []).append((term, term.residual))
-        else:
-            yield term
-    for group in alike.values():
-        term, pairs = group[0]
-        potential = Together(tuple(own.potential for _, own in group))
-        yield replace(term, residual=replace(pairs, potential=potential))
-
-
 def _same_curvature(a: Model, b: Model) -> bool:
     # A waypoint without a time is on other steps in another hypothesis.
     return len(a.own) == len(b.own) and all(
@@ -515,156 +396,5 @@ def _same_curvature(a: Model, b: Model) -> bool:
     )
 
 
-def _sparse(diagonal: Array, upper: Array) -> csr_array:
-    """A chain, of which most blocks are nearly empty, as a sparse matrix."""
-    S, D, _ = diagonal.shape
-    first = D * np.arange(S)[:, None]
-    a, b = np.nonzero(diagonal.any(axis=0))
-    rows, columns, values = [first + a], [first + b], [diagonal[:, a, b]]
-    a, b = np.nonzero(upper.any(axis=0))
-    here, there = first[:-1] + a, first[1:] + b
-    rows, columns = [*rows, here, there], [*columns, there, here]
-    values += 2 * [upper[:, a, b]]
-    data, row, column = (
-        np.concatenate([part.ravel() for part in parts]) for parts in (values, rows, columns)
-    )
-    return csr_array((data, (row, column)), shape=(S * D, S * D))
-
-
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...sd,...sd->...", a, b))
-
-
-def _wire(term: Term, columns: dict[str, slice], order: Index) -> _Wired:
-    first = slice(term.steps.start, term.steps.stop, term.steps.step)
-    slots = tuple((_moved(first, offset), columns[name]) for name, offset in term.variables)
-    places = [(offset, columns[name]) for name, offset in term.variables]
-    return _wired(term.residual, slots, first, places, order)
-
-
-def _wired(
-    residual: Residual,
-    slots: tuple[tuple[slice, slice], ...],
-    first: slice,
-    places: Sequence[tuple[int, slice]],
-    order: Index,
-) -> _Wired:
-    """With variables at (offset in time, slice of the state)."""
-    runs, blocks = _layout(
-        tuple((offset, c.start, c.stop) for offset, c in places),
-        residual.support.tobytes(),
-        order.tobytes(),
-    )
-    band = tuple(_Part(_moved(first, offset), *block) for offset, *block in blocks)
-    return _Wired(residual, slots, first, runs, band=band)
-
-
-def _moved(steps: slice, offset: int) -> slice:
-    return slice(steps.start + offset, steps.stop + offset, steps.step)
-
-
-_Run = tuple[int, slice, slice]
-
-
-@lru_cache(maxsize=1024)
-def _layout(
-    places: tuple[tuple[int, int, int], ...], support: bytes, order: bytes
-) -> tuple[tuple[_Run, ...], tuple[tuple[Any, ...], ...]]:
-    """Contiguous runs of the support of variables at (offset in time, start, stop) of the state,
-    and where the blocks of an expansion are in a band of that order: a `_Part`, with the offset
-    in time for the steps."""
-    used = np.frombuffer(support, dtype=np.intp)
-    column = np.concatenate([np.arange(a, b) for _, a, b in places])[used]
-    offset = np.concatenate([np.full(b - a, o) for o, a, b in places])[used]
-    breaks = np.flatnonzero((np.diff(column) != 1) | (np.diff(offset) != 0)) + 1
-    runs = tuple(
-        (int(offset[a]), slice(int(column[a]), int(column[b - 1]) + 1), slice(a, b))
-        for a, b in pairwise([0, *breaks.tolist(), len(column)])
-    )
-    split: list[_Run] = []
-    for at, columns, rows in runs:
-        where = np.frombuffer(order, dtype=np.intp)[columns]
-        for a, b in _progressions(where.tolist()):
-            step = int(where[a + 1] - where[a]) if b - a > 1 else 1
-            places_in = slice(int(where[a]), int(where[b - 1]) + 1, step)
-            split.append((at, places_in, slice(rows.start + a, rows.start + b)))
-    blocks: list[tuple[Any, ...]] = []
-    for at_row, into_rows, rows in split:
-        for at_column, into_columns, columns in split:
-            if at_row > at_column:
-                continue
-            below = np.ones((1, 1), dtype=bool)
-            if at_row == at_column:
-                i, j = (np.arange(s.start, s.stop, s.step) for s in (into_rows, into_columns))
-                below = i[:, None] >= j
-            if below.any():
-                mask = None if below.all() else below
-                into, out_of = (into_rows, into_columns), (rows, columns)
-                blocks.append((at_row, at_row < at_column, into, out_of, mask))
-    return runs, tuple(blocks)
-
-
-class _UserFactor(Residual):
-    """A user's GTSAM factor as a residual, through its own error and linearization."""
-
-    def __init__(self, factor: gtsam.NonlinearFactor, dims: tuple[int, ...]) -> None:
-        self._factor, self._dims = factor, dims
-
-    @property
-    def dims(self) -> tuple[int, ...]:
-        return self._dims
-
-    @property
-    def rows(self) -> int:
-        return int(self._factor.dim())
-
-    def linearize(self, *x: Array) -> tuple[Array, tuple[Array, ...]]:
-        raise TypeError("a GTSAM factor gives its information matrix, not its Jacobians")
-
-    def _each(self, x: tuple[Array, ...]) -> Iterator[gtsam.Values]:
-        for point in zip(*(xi.reshape(-1, xi.shape[-1]) for xi in x), strict=True):
-            values = gtsam.Values()
-            for key, part in zip(self._factor.keys(), point, strict=True):
-                values.insert(key, part)
-            yield values
-
-    def energy(self, *x: Array) -> Array:
-        each = [self._factor.error(values) for values in self._each(x)]
-        return np.array(each, dtype=float).reshape(x[0].shape[:-1])
-
-    def gauss_newton(self, *x: Array) -> Expansion:
-        size = sum(self._dims)
-        batch = x[0].shape[:-1]
-        augmented = np.array([self._information(values) for values in self._each(x)])
-        augmented = augmented.reshape(*batch, size + 1, size + 1)
-        return Expansion(
-            self.energy(*x), -augmented[..., :size, size], augmented[..., :size, :size]
-        )
-
-    def _information(self, values: gtsam.Values) -> Array:
-        linear = self._factor.linearize(values)
-        if linear is None:  # the factor is not active here
-            return np.zeros((sum(self._dims) + 1,) * 2)
-        return np.asarray(linear.augmentedInformation())
-
-
-def _wire_user(factor: gtsam.NonlinearFactor, model: Model, order: Index) -> _Wired:
-    place = {key: (k, model.columns[name]) for (name, k), key in model.keys.items()}
-    unknown = [keys.name(key) for key in factor.keys() if key not in place]
-    if unknown:
-        raise ValueError(
-            f"a factor of yours is on {unknown}, which this density does not have; its variables "
-            f"are {[v.name for v in model.variables]}, steps 0..{len(model.times) - 1}"
-        )
-    places = [place[key] for key in factor.keys()]
-    steps = [k for k, _ in places]
-    start = min(steps)
-    slots = tuple((slice(k, k + 1), columns) for k, columns in places)
-    dims = tuple(columns.stop - columns.start for _, columns in places)
-    first, offsets = slice(start, start + 1), [(k - start, c) for k, c in places]
-    wired = _wired(_UserFactor(factor, dims), slots, first, offsets, order)
-    if max(steps) - start > 1:
-        D = model.reference.shape[1]
-        far = np.concatenate([k * D + np.arange(c.start, c.stop) for k, c in places])
-        return replace(wired, band=(), far=far)
-    return wired

@@ -7,6 +7,7 @@ half its work on zeros.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -19,6 +20,10 @@ Links = tuple[tuple[NDArray[np.intp], Array], ...]
 
 BAND_LIMIT = 12
 """Largest block size for which the banded factorisation was measured to be faster."""
+
+
+CHUNK = 65536
+"""Numbers in the systems that are laid out at once: they should stay in the cache."""
 
 
 class Factor(Protocol):
@@ -78,6 +83,13 @@ class System(NamedTuple):
             (1 - share) * self.upper + share * other.upper,
             links,
         )
+
+
+def chunks(count: int, size: int) -> Iterator[slice]:
+    """As many of `count` systems of so many numbers at once as `CHUNK` has room for."""
+    some = max(1, CHUNK // size)
+    for at in range(0, count, some):
+        yield slice(at, at + some)
 
 
 def factorize(diagonal: Array, upper: Array, links: Links = ()) -> Factor | None:

@@ -118,6 +118,7 @@ class SecondOrder:
         if len(active) < B:
             for b in np.flatnonzero(~np.isfinite(energy)).tolist():
                 stop[b] = Stop.NOT_FINITE
+        rivals = len(set(which.tolist())) < B  # else there is nobody to compare with
         began, busy = perf_counter(), 0
         for _ in range(self.max_iterations):
             if not len(active):
@@ -139,10 +140,13 @@ class SecondOrder:
             for b, curved in zip(active[done].tolist(), way.minimum[done].tolist(), strict=True):
                 stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
             last[active[done]] = way.step[done]
-            hopeless = ~done & self._hopeless(way, energy, which, active)
-            for b in active[hopeless].tolist():
-                stop[b] = Stop.GIVEN_UP
-            going = np.flatnonzero(~(done | hopeless))
+            ended = done
+            if rivals:
+                hopeless = ~done & self._hopeless(way, energy, which, active)
+                for b in active[hopeless].tolist():
+                    stop[b] = Stop.GIVEN_UP
+                ended = done | hopeless
+            going = np.flatnonzero(~ended)
             if not len(going):
                 break
             length, reached = _line_search(assembly, X[active], way, which[active], going)
@@ -159,7 +163,7 @@ class SecondOrder:
             # Where Newton's step leads nowhere Gauss-Newton's may.
             stuck[active[going]] = again = ~moved & ahead & (way.promised[going] >= 1e-6)
             on = np.sort(np.concatenate([on, active[going[again]]]))
-            active = self._apart(X, energy, which, on, stop)
+            active = self._apart(X, energy, which, on, stop) if rivals else on
         end = assembly.moved(X, last)
         after = assembly.energy(end, which)
         worse = after > energy + ROUNDING * np.abs(energy)

@@ -38,6 +38,9 @@ RANKS = [
     {"conditioning", "gating"},
     {"shared_control"},
     {"model"},
+    {"wiring"},
+    {"compiled"},
+    {"backend"},
     {"assembly"},
     {"solver"},
     {"inference", "sketch"},
@@ -55,7 +58,7 @@ RANKS = [
 ]
 # Lazy on purpose: `Scenario.load` is where users look for it, pydantic only where a file is read.
 LAZY = {("scenario", "scenario_file")}
-HEAVY = ["matplotlib", "skimage", "networkx", "pydantic", "typer"]
+HEAVY = ["matplotlib", "skimage", "networkx", "numba", "pydantic", "typer"]
 
 
 def sources(package: str) -> list[Path]:

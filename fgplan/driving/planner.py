@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from fgplan.backend import fastest
 from fgplan.crowd import Belief, heading, seen, visible
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
 from fgplan.driving.guard import Guarded, Judge, Tier
@@ -64,6 +65,7 @@ class Planner:
         sources: Sequence[Source] = (),
     ) -> None:
         validate(scenario)
+        fastest()  # loaded before there is a deadline
         self.settings = settings
         self.sources = tuple(sources)
         d = scenario.density

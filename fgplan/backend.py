@@ -1,0 +1,120 @@
+"""What computes the terms of a density and its linear systems: numpy, or compiled kernels.
+
+The first is the definition. Everything else of an assembly is the same for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from importlib.util import find_spec
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from factors.pairwise import PredictedPairs, Together
+from fgplan.block_tridiagonal import Chains, chunks
+from fgplan.model import Term
+from fgplan.wiring import Wired
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+Product = Callable[[Array], Array]
+
+
+class Backend(Protocol):
+    """What takes time."""
+
+    def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
+        """The same density in terms that are faster to evaluate."""
+        ...
+
+    def product(self, diagonal: Array, upper: Array) -> Product:
+        """From vectors (N, S, D) to their products with a chain, of which most entries are zero:
+        blocks (S, D, D) and (S − 1, D, D)."""
+        ...
+
+    def steps(
+        self, chains: Chains, rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
+    ) -> tuple[Array, Mask]:
+        """Newton steps −H⁻¹ g of B systems.
+
+        Args:
+            chains: The constant part of the Hessians.
+            rows: Which of them each system has, shape (B,).
+            parts: The other parts of the Hessians: terms with their blocks (B, steps, s, s).
+            gradient: g, shape (B, S, D).
+
+        Returns:
+            The steps (B, S, D), zero where H is not positive definite, and where it is (B,).
+        """
+        ...
+
+
+class Numpy:
+    """numpy and LAPACK."""
+
+    def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
+        """The terms, those between the robot and the same held people as one: where people are is
+        then looked at once."""
+        alike: dict[tuple[int, range], list[tuple[Term, PredictedPairs]]] = {}
+        for term in terms:
+            if isinstance(term.residual, PredictedPairs):
+                key = (id(term.residual.people), term.steps)
+                alike.setdefault(key, []).append((term, term.residual))
+            else:
+                yield term
+        for group in alike.values():
+            term, pairs = group[0]
+            potential = Together(tuple(own.potential for _, own in group))
+            yield replace(term, residual=replace(pairs, potential=potential))
+
+    def product(self, diagonal: Array, upper: Array) -> Product:
+        matrix = _sparse(diagonal, upper)
+
+        def times(d: Array) -> Array:
+            product = matrix @ d.reshape(len(d), -1).T
+            return np.ascontiguousarray(product.T).reshape(d.shape)
+
+        return times
+
+    def steps(
+        self, chains: Chains, rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
+    ) -> tuple[Array, Mask]:
+        steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
+        for here in chunks(len(rows), chains.data[0].size):
+            band = chains.take(rows[here])
+            for wired, part in parts:
+                wired.add_lower(part[here], band)
+            steps[here], definite[here] = band.solve(-gradient[here])
+        return steps, definite
+
+
+@lru_cache(maxsize=1)
+def fastest() -> Backend:
+    """Compiled kernels where numba is installed (`pip install fgplan[fast]`), else numpy."""
+    if find_spec("numba") is None:
+        return Numpy()
+    from fgplan.compiled import Compiled  # importing numba takes longer than the rest of fgplan
+
+    return Compiled()
+
+
+def _sparse(diagonal: Array, upper: Array) -> csr_array:
+    """A chain, of which most blocks are nearly empty, as a sparse matrix."""
+    S, D, _ = diagonal.shape
+    first = D * np.arange(S)[:, None]
+    a, b = np.nonzero(diagonal.any(axis=0))
+    rows, columns, values = [first + a], [first + b], [diagonal[:, a, b]]
+    a, b = np.nonzero(upper.any(axis=0))
+    here, there = first[:-1] + a, first[1:] + b
+    rows, columns = [*rows, here, there], [*columns, there, here]
+    values += 2 * [upper[:, a, b]]
+    data, row, column = (
+        np.concatenate([part.ravel() for part in parts]) for parts in (values, rows, columns)
+    )
+    return csr_array((data, (row, column)), shape=(S * D, S * D))

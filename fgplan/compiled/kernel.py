@@ -1,0 +1,54 @@
+"""How kernels are compiled: once a machine, and kept beside the source or in the user's cache.
+
+Kernels that are called from Python state their arguments: they are compiled, or loaded, where they
+are imported, and not later, when there may be no time for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
+
+from numba import njit, types
+
+F = TypeVar("F", bound=Callable[..., Any])
+INT, FLOAT, BOOL = types.intp, types.float64, types.boolean
+
+
+class Decorator(Protocol):
+    """From a function to its compiled form."""
+
+    def __call__(self, function: F, /) -> F: ...
+
+
+def given(dimensions: int, of: Any = FLOAT) -> Any:
+    """An array that is read, of any layout."""
+    return types.Array(of, dimensions, "A", readonly=True)
+
+
+def result(dimensions: int, of: Any = FLOAT) -> Any:
+    """A contiguous array that is written."""
+    return types.Array(of, dimensions, "C")
+
+
+def exact(*arguments: Any) -> Decorator:
+    """Compile as written: what is not a number stays what it is, and dividing by 0 is inf.
+
+    Args:
+        arguments: Types of the arguments; none for a kernel that others call.
+    """
+    return _compiled(arguments, False)
+
+
+def reordered(*arguments: Any) -> Decorator:
+    """The same with sums in any order, so that they are vectorised."""
+    return _compiled(arguments, {"contract", "reassoc", "nsz", "arcp"})  # NaN and inf still count
+
+
+def _compiled(arguments: tuple[Any, ...], fastmath: Any) -> Decorator:
+    options = {"error_model": "numpy", "fastmath": fastmath}
+    if not arguments:
+        inner: Decorator = njit(**options)
+        return inner
+    outer: Decorator = njit(types.void(*arguments), cache=True, **options)
+    return outer

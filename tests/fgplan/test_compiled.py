@@ -1,0 +1,341 @@
+"""Compiled kernels against numpy, which is the definition: the same to rounding, for any scene."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from factors.contact import Contact
+from factors.interaction import Interaction
+from factors.kinematics import AccelerationLimit, SpeedLimit
+from factors.pairwise import CrowdPairs, PairPotential, PredictedPairs, Together
+from factors.residual import Expansion, Residual
+from fgplan import Scenario, backend, plan
+from fgplan.assembly import Assembly
+from fgplan.backend import Numpy
+from fgplan.block_tridiagonal import Chains
+from fgplan.hypotheses import hypothesise
+from fgplan.model import Term, build
+from fgplan.solver import SecondOrder
+from fgplan.wheeled import CarLike, DifferentialDrive
+from tests.scenes import CORRIDOR, ONE, STACK, believed, dense, jittered, random_scene, short
+
+pytest.importorskip("numba")
+from fgplan.compiled import Compiled
+from fgplan.compiled.band import add, solve
+
+STEPS = 4
+seeds = st.integers(0, 2**32 - 1)
+crowds = st.integers(1, 5)
+pairs = st.sampled_from(["all", "robot", "some"])
+alphas = st.one_of(st.floats(0, 1), st.sampled_from([0.0, 0.99, 1.0]))
+lengths = st.floats(0.05, 3)
+weights = st.floats(0.01, 2)
+spreads = st.sampled_from([0.0, 0.3, 1.0, 30.0])
+BATCHES = [(), (3,), (2, 3)]
+
+
+def terms_of(*residuals: Residual) -> list[Term]:
+    """Terms of the robot, and of the crowd, at all of the steps."""
+    on = (("robot", 0), ("crowd", 0))
+    return [Term("", r, on[: len(r.dims)], range(STEPS)) for r in residuals]
+
+
+def total(residuals: list[Residual], method: str, x: tuple[Any, ...]) -> Expansion:
+    """Energy, gradient and Hessian of a sum of residuals on the same support."""
+    with np.errstate(all="ignore"):
+        return Expansion(*map(sum, zip(*(getattr(r, method)(*x) for r in residuals), strict=True)))
+
+
+def agree(numpy: list[Residual], x: tuple[Any, ...]) -> None:
+    """The compiled form of residuals on one support is their sum, to rounding."""
+    compiled = [term.residual for term in Compiled().fused(terms_of(*numpy))]
+    assert not {type(r) for r in compiled} & {type(r) for r in numpy}
+    with np.errstate(all="ignore"):
+        energy = sum(r.energy(*x) for r in numpy)
+    close(sum(r.energy(*x) for r in compiled), energy)
+    for method in ("expand", "gauss_newton"):
+        for mine, theirs in zip(total(compiled, method, x), total(numpy, method, x), strict=True):
+            close(mine, theirs)
+
+
+def close(mine: Any, theirs: Any) -> None:
+    """To rounding of the largest number, with the same NaN and inf."""
+    finite = np.abs(theirs[np.isfinite(theirs)])
+    assert_allclose(mine, theirs, rtol=1e-9, atol=1e-12 * max(1.0, finite.max(initial=0.0)))
+
+
+def states(rng: Any, batch: tuple[int, ...], dim: int, spread: float) -> Any:
+    return spread * rng.normal(size=(*batch, STEPS, dim))
+
+
+@settings(max_examples=100, deadline=None)
+@given(crowds, pairs, alphas, lengths, weights, spreads, st.sampled_from(BATCHES), seeds)
+def test_pairs_of_a_crowd(n, which, alpha, h_c, weight, spread, batch, seed):
+    rng = np.random.default_rng(seed)
+    chosen = which
+    if which == "some":
+        every = np.column_stack(np.triu_indices(n + 1, k=1))
+        chosen = every[rng.random(len(every)) < 0.6]
+    interaction = Interaction(alpha, h_c, weight)
+    contact = Contact(rng.uniform(0, 2, n), 0.1, weight)
+    dim = int(rng.integers(4, 6))
+    numpy = [CrowdPairs(interaction, n, chosen, dim), CrowdPairs(contact, n, "robot", dim)]
+    if spread == 0 and alpha == 1:  # all at one point: the next test
+        return
+    agree(numpy, (states(rng, batch, dim, spread), states(rng, batch, 4 * n, spread)))
+
+
+def test_contact_of_two_bodies_is_as_impossible():
+    numpy = CrowdPairs(Interaction(1.0, 0.4), 1)
+    (term,) = Compiled().fused(terms_of(numpy))
+    x = np.zeros((STEPS, 4)), np.zeros((STEPS, 4))
+    assert_array_equal(term.residual.energy(*x), np.inf)
+    for mine, theirs in zip(term.residual.expand(*x), numpy.expand(*x), strict=True):
+        close(mine, theirs)
+    close(term.residual.gauss_newton(*x).hessian, 0.0 * np.zeros((STEPS, 4, 4)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(crowds, alphas, weights, spreads, st.sampled_from(BATCHES), st.booleans(), seeds)
+def test_pairs_with_people_held(n, alpha, weight, spread, batch, per_step, seed):
+    rng = np.random.default_rng(seed)
+    shape = (STEPS, n) if per_step else (n,)
+    people = spread * rng.normal(size=(*shape, 2))
+    variance = rng.uniform(0.1, 1, shape if rng.random() < 0.5 else ())
+    interaction = Interaction(alpha, 0.4, weight, variance)
+    contact = Contact(rng.uniform(0, 2, n) if rng.random() < 0.5 else 1.0, 0.1, weight)
+    numpy = [PredictedPairs(p, people) for p in (interaction, contact, Contact(0.5, np.inf))]
+    robot = states(rng, batch, 4, max(spread, 0.1))
+    agree(numpy, (robot,))
+    agree([PredictedPairs(Together((contact, Together((interaction,)))), people)], (robot,))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(0, 2), weights, spreads, st.sampled_from(BATCHES), seeds)
+def test_limits_on_a_norm(limit, weight, spread, batch, seed):
+    rng = np.random.default_rng(seed)
+    before, after = states(rng, batch, 4, spread), states(rng, batch, 4, spread)
+    speed = SpeedLimit(limit, 0.1, weight)
+    agree([speed], (before,))
+    acceleration = AccelerationLimit(limit, 0.1, 0.4, weight)
+    (term,) = Compiled().fused([Term("", acceleration, (("robot", 0), ("robot", 1)), range(STEPS))])
+    assert term.residual.convex
+    assert_array_equal(term.residual.support, acceleration.support)
+    close(term.residual.energy(before, after), acceleration.energy(before, after))
+    for mine, theirs in zip(
+        term.residual.expand(before, after), acceleration.expand(before, after), strict=True
+    ):
+        close(mine, theirs)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("spread", [0.3, 30.0])
+def test_what_is_not_finite_spreads_alike(value, spread):
+    rng = np.random.default_rng(0)
+    robot, crowd = states(rng, (2,), 4, spread), states(rng, (2,), 8, spread)
+    robot[0, 1, 0] = crowd[1, 2, 3] = robot[1, 0, 2] = value
+    people = rng.normal(size=(STEPS, 2, 2))
+    potentials: list[PairPotential] = [Interaction(0.9, 0.4), Contact(1.0, 0.1)]
+    for numpy, x in (
+        ([CrowdPairs(p, 2, "robot") for p in potentials], (robot, crowd)),
+        ([PredictedPairs(p, people) for p in potentials], (robot,)),
+        ([SpeedLimit(0.5, 0.1)], (robot,)),
+    ):
+        compiled = [term.residual for term in Compiled().fused(terms_of(*numpy))]
+        for method in ("expand", "gauss_newton"):
+            mine, theirs = total(compiled, method, x), total(numpy, method, x)
+            close(mine.energy, theirs.energy)
+            # numpy sums over bodies in matrix products, where NaN reaches all bodies of a step.
+            for one, other in zip(mine[1:], theirs[1:], strict=True):
+                axes = tuple(range(2, one.ndim))
+                assert_array_equal(np.isfinite(one).all(axes), np.isfinite(other).all(axes))
+
+
+def test_what_has_no_compiled_form_stays_as_it_is():
+    @dataclass(frozen=True)
+    class Mine(Interaction):
+        """An interaction with something else in it."""
+
+    people = np.zeros((STEPS, 2, 3))
+    odd = [
+        CrowdPairs(Mine(), 2),
+        CrowdPairs(Together((Interaction(), Mine())), 2),
+        PredictedPairs(Interaction(), people, robot_dim=6),
+        SpeedLimit(1.0, 0.1, dim=6),
+    ]
+    kept = [term.residual for term in Compiled().fused(terms_of(*odd))]
+    assert len(kept) == len(odd)
+    assert all(a is b for a, b in zip(kept, odd, strict=True))
+
+
+def test_two_potentials_of_a_kind_are_both_counted():
+    rng = np.random.default_rng(0)
+    numpy = [CrowdPairs(Interaction(0.9, h_c), 2) for h_c in (0.3, 0.6, 0.9)]
+    agree(numpy, (states(rng, (2,), 4, 1.0), states(rng, (2,), 8, 1.0)))
+
+
+def test_states_of_any_layout_are_read():
+    rng = np.random.default_rng(0)
+    residual = CrowdPairs(Interaction(0.9, 0.4), 2)
+    (term,) = Compiled().fused(terms_of(residual))
+    whole = np.asfortranarray(states(rng, (3,), 20, 1.0))
+    whole.setflags(write=False)
+    x = whole[..., 12:8:-1], whole[..., 2:18:2]
+    close(term.residual.energy(*x), residual.energy(*x))
+    close(term.residual.expand(*x).hessian, residual.expand(*x).hessian)
+
+
+SCENES: dict[str, Scenario] = {
+    "alone": random_scene(0, 0, density=short()),
+    "joint": random_scene(1, 4, density=short()),
+    "joint, some held": random_scene(1, 4, density=short(reach=1.5)),
+    "robot pairs": random_scene(2, 3, pairs="robot", density=short()),
+    "predicted": random_scene(3, 3, crowd="predicted", density=short()),
+    "obstacles": random_scene(4, 2, grid=True, density=short(dt=0.5)),
+    "random level": random_scene(6, 2, levels=(CORRIDOR,), density=short()),
+    "two levels": random_scene(7, 2, levels=STACK, density=short(t_ref=None)),
+}
+
+
+def wheeled(scenario: Scenario, model: Any) -> Scenario:
+    return scenario.replace(robot=replace(scenario.robot, model=model))
+
+
+SCENES["wheels"] = wheeled(SCENES["joint"], DifferentialDrive())
+SCENES["a car"] = wheeled(random_scene(4, 2, grid=True, density=short(dt=0.5)), CarLike())
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES.keys())
+@pytest.mark.parametrize("seed", range(3))
+def test_densities_agree(scene, seed):
+    belief = believed(scene)
+    models = build(scene, belief, hypothesise(scene, belief))
+    numpy, compiled = Assembly(models, Numpy()), Assembly(models, Compiled())
+    which = np.arange(len(models))
+    X = np.stack([jittered(numpy, seed * len(models) + i) for i in which])
+    close(compiled.energy(X, which), numpy.energy(X, which))
+    close(compiled.times(X, which), numpy.times(X, which))
+    for method in ("expand", "gauss_newton"):
+        mine, theirs = (getattr(a, method)(X, which) for a in (compiled, numpy))
+        for name in ("energy", "gradient", "diagonal", "upper"):
+            close(getattr(mine, name), getattr(theirs, name))
+        for (step, definite), (expected, also) in (
+            (mine.newton(), theirs.newton()),
+            (mine.flattened(which), theirs.flattened(which)),
+        ):
+            assert_array_equal(definite, also)
+            assert_allclose(step, expected, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES.keys())
+def test_optima_agree(scene):
+    belief = believed(scene)
+    models = build(scene, belief, hypothesise(scene, belief))
+    which = np.arange(len(models))
+    X = np.stack([model.reference for model in models])
+    solver = SecondOrder()
+    mine, theirs = (solver.solve(Assembly(models, one), X, which) for one in (Compiled(), Numpy()))
+    for one, other in zip(mine, theirs, strict=True):
+        assert one.stop is other.stop
+        # Rounding may tell which of two steps is the last: both are within the tolerance.
+        assert one.energy == pytest.approx(other.energy, abs=solver.tolerance)
+        assert_allclose(one.state, other.state, atol=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 5), st.integers(1, 26), st.integers(1, 4), seeds)
+def test_steps_solve_the_dense_system(S, D, B, seed):
+    rng = np.random.default_rng(seed)
+    upper = rng.normal(size=(B, S - 1, D, D)) * (rng.random((D, D)) < 0.3)
+    diagonal = rng.normal(size=(B, S, D, D))
+    diagonal = diagonal @ np.swapaxes(diagonal, -1, -2) + 4 * D * np.eye(D)
+    order = rng.permutation(D)
+    linked = np.any(upper, axis=(0, 1))
+    gradient, step = rng.normal(size=(B, S, D)), np.empty((B, S, D))
+    bad = int(rng.integers(B))
+    diagonal[bad] *= rng.choice([1.0, -1.0, np.nan, np.inf])
+    definite = np.empty(B, dtype=bool)
+    chains = Chains.of(diagonal, upper, order, linked)
+    with np.errstate(invalid="ignore"):
+        solve(chains.data.copy(), gradient, order, step, definite)
+        expected, also = chains.solve(-gradient)
+    assert_array_equal(definite, also)
+    assert_allclose(step, expected, rtol=1e-9, atol=1e-12)
+    for b in np.flatnonzero(definite):
+        H = dense(diagonal[b], upper[b])
+        assert_allclose(H @ step[b].ravel(), -gradient[b].ravel(), rtol=1e-7, atol=1e-9)
+
+
+def test_blocks_are_added_where_the_chain_has_them():
+    rng = np.random.default_rng(0)
+    S, D, order = 4, 3, np.array([2, 0, 1])
+    part = rng.normal(size=(2, S - 1, 4, 4))
+    part = part + np.swapaxes(part, -1, -2)
+    band = Chains.of(np.zeros((2, S, D, D)), np.ones((2, S - 1, D, D)), order)
+    band.data[:] = 0.0
+    places = np.array([order[0], order[2], D + order[2], D + order[1]])
+    add(band.data, part, 0, D, places)
+    expected = np.zeros((2, S * D, S * D))
+    for k in range(S - 1):
+        rows = k * D + places
+        expected[:, rows[:, None], rows] += part[:, k]
+    for o in range(band.data.shape[2]):
+        found = band.data[:, : S * D - o, o]
+        assert_allclose(found, np.diagonal(expected, -o, 1, 2), atol=1e-14)
+
+
+def test_without_numba_numpy_does_it(monkeypatch):
+    monkeypatch.setattr(backend, "find_spec", lambda name: None)
+    backend.fastest.cache_clear()
+    try:
+        assert isinstance(backend.fastest(), Numpy)
+        mixture = plan(SCENES["joint"])
+    finally:
+        backend.fastest.cache_clear()
+        monkeypatch.undo()
+    assert importlib.util.find_spec("numba") is not None
+    assert isinstance(backend.fastest(), Compiled)
+    again = plan(SCENES["joint"])
+    assert [c.label for c in again.components] == [c.label for c in mixture.components]
+    assert again.best.energy == pytest.approx(mixture.best.energy, rel=1e-9)
+
+
+def test_a_second_process_does_not_compile_again():
+    program = (
+        "from tests.scenes import random_scene, short\n"
+        "from fgplan import plan\n"
+        "plan(random_scene(1, 3, density=short(reach=1.5)))\n"
+        "from fgplan.compiled import band, limits, pairs\n"
+        "kernels = [getattr(m, n) for m in (band, limits, pairs) for n in dir(m)]\n"
+        "kernels = [k for k in kernels if hasattr(k, 'stats')]\n"
+        "assert any(k.stats.cache_hits for k in kernels)\n"
+        "print(sum(sum(k.stats.cache_misses.values()) for k in kernels))\n"
+    )
+    command = [sys.executable, "-c", program]
+    for _ in range(2):
+        done = subprocess.run(
+            command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True
+        )
+    assert done.stdout.strip() == "0", done.stderr
+
+
+def test_one_start_is_solved_alike_alone_and_among_others():
+    scene = SCENES["joint"]
+    belief = believed(scene)
+    models = build(scene, belief, hypothesise(scene, belief))
+    assembly = Assembly(models, Compiled())
+    X = np.stack([model.reference for model in models])
+    together = SecondOrder().solve(assembly, X, np.arange(len(models)))
+    alone = SecondOrder().solve(assembly, X[:1], ONE)
+    assert_array_equal(alone[0].state, together[0].state)
