@@ -4,7 +4,8 @@ What is checked is not the plan but what the robot will do: the plan followed wi
 then, from the end of the control period, a stop. A command is *clear* when its trajectory touches
 nobody over the look-ahead, and *stoppable* when, after one period, the robot can come to rest
 before it touches a wall or anybody, each person grown by two standard deviations of where they may
-be by then.
+be by then. The *room* of a command is by how many they can grow. Who stands is not at fault: that
+is passive safety (Bouraine, Fraichard, Salhi, Autonomous Robots 32, 2012).
 """
 
 from __future__ import annotations
@@ -33,9 +34,14 @@ class Tier(IntEnum):
     TOUCHING_NOBODY = 1
     """Nobody is touched for as long as an escape is followed, and the robot can stop."""
     AVOIDING = 2
-    """The same, by another command than the plan's: the nearest one, of those that keep the margin
-    if any does."""
-    LATEST_CONTACT = 3
+    """The same, by the nearest clear command that is stoppable, of those that keep the margin if
+    any does; where none is stoppable, by the clear one with the most room, carried on or not."""
+    YIELDING = 3
+    """None is clear, but the robot can be at rest before it is touched: of the commands with enough
+    room the one whose contact would come latest, and after it a stop."""
+    PASSING = 4
+    """No stop is clear, but to go on is: somebody is close behind or beside."""
+    LATEST_CONTACT = 5
     """Nothing is clear: the command whose contact comes latest, and is the slightest."""
 
 
@@ -49,8 +55,8 @@ class Guard:
             the next plan comes sooner.
         margin: Clearance from people that the first tier keeps [m].
         spacing: Between two looks along a trajectory [s].
-        sigmas: By how many standard deviations of where they may be people grow while the robot
-            brakes.
+        sigmas: The room that is asked for: by how many standard deviations of where they may be
+            people grow while the robot brakes.
         most: But by no more than this [m].
         turn: Another command than the plan's is tried with a change to a third one after this [s]:
             there is often no straight way out of a crowd.
@@ -84,12 +90,13 @@ class Guarded:
 
 @dataclass(frozen=True, eq=False)
 class _Fan:
-    """What M commands meet: the smallest gap to a person [m], the first contact [s], whether the
-    robot can stop after a period, and whether the margin is kept; each (M,)."""
+    """What M commands meet: the smallest gap to a person [m], the first contact [s], the room of
+    a stop after a period (negative where somebody is touched who is where they are expected), and
+    whether the margin is kept; each (M,)."""
 
     gap: Array
     contact: Array
-    stoppable: Mask
+    room: Array
     keeps: Mask
 
 
@@ -148,24 +155,44 @@ class Judge:
         robot, model = self.scenario.robot, self.scenario.robot.model
         predicted = People(times, self.belief.predict(times)[0], self.belief.radii)
         wishes = _wishes(model.commands(robot, self._now), times, self.settings)
-        states = model.driven(robot, self._now, wishes, times, self.lag)
-        others = self._look(states, times, predicted)
-        # The commands that are reached at the end of the period: the end of a state.
-        first = np.linalg.norm(states[:, steps, -2:] - own.states[:, steps, -2:], axis=1)
-        clear = others.stoppable & np.isinf(others.contact)
-        if clear.any():
-            keeping = clear & others.keeps
-            best = int(np.argmin(np.where(keeping if keeping.any() else clear, first, np.inf)))
+        fan = model.driven(robot, self._now, wishes, times, self.lag)
+        states = np.concatenate([own.states[:, : len(times)], fan])
+        found = self._look(states, times, predicted)
+        # By where they lead: a first velocity is soon nearer to none than to a detour's.
+        apart = np.linalg.norm(states[..., :2] - states[0, :, :2], axis=-1).mean(axis=1)
+        clear = np.isinf(found.contact)
+        stoppable = clear & (found.room >= self.settings.sigmas)
+        if stoppable.any():
+            keeping = stoppable & found.keeps
+            best = int(np.argmin(np.where(keeping if keeping.any() else stoppable, apart, np.inf)))
             return self._guarded(states[best], times, Tier.AVOIDING)
-        found = own.found
-        states = np.concatenate([own.states[:, : len(times)], states])
-        first = np.append(0.0, first)
-        contact = np.append(found.contact, others.contact)
-        gap, stops = np.append(found.gap, others.gap), np.append(found.stoppable, others.stoppable)
-        # Contact latest; of those, who can stop, then who keeps the larger gap, then the plan's.
-        order = np.lexsort((first, -np.round(gap, 2), ~stops, -np.round(contact, 1)))
-        best = int(order[0])
-        return self._guarded(states[best], times, Tier.LATEST_CONTACT, float(contact[best]))
+        tier, rest = self._left(found, clear)
+        if tier is Tier.AVOIDING:
+            gap = _gaps(self.scenario, states[rest, :, :2], times, predicted)
+            room = np.minimum(found.room[rest], self._room(gap, states[rest, :, :2], times))
+            order = np.lexsort((apart[rest], -np.round(room, 1)))
+        else:
+            late, gap = np.round(found.contact[rest], 1), np.round(found.gap[rest], 2)
+            order = np.lexsort((apart[rest], -gap, -late))
+        best = int(rest[order[0]])
+        taken = states[best]
+        if tier is Tier.YIELDING:
+            still = np.zeros((1, len(times) - 1 - steps, 2))
+            ahead = times[steps:] - times[steps]
+            taken[steps:] = model.driven(robot, taken[None, steps], still, ahead, self.lag)[0]
+        return self._guarded(taken, times, tier, float(found.contact[best]))
+
+    def _left(self, found: _Fan, clear: Mask) -> tuple[Tier, NDArray[np.intp]]:
+        """How safe a command can be where none is clear and stoppable, and which ones are that."""
+        most = min(self.settings.sigmas, found.room.max())
+        for tier, among in (
+            (Tier.AVOIDING, clear & (found.room >= 0)),
+            (Tier.YIELDING, found.room >= max(most, 0.0)),
+            (Tier.PASSING, clear),
+        ):
+            if among.any():
+                return tier, np.flatnonzero(among)
+        return Tier.LATEST_CONTACT, np.arange(len(clear))
 
     @cached_property
     def _now(self) -> Array:
@@ -187,7 +214,8 @@ class Judge:
             found = self._look(states, self._looks[0], planned)
             tier = Tier.CLEAR if found.keeps[0] else Tier.TOUCHING_NOBODY
             # Later contacts are for the hard check: following blindly drifts off the plan.
-            if not found.stoppable[0] or found.contact[0] <= self.settings.escape:
+            stoppable = found.room[0] >= self.settings.sigmas
+            if not stoppable or found.contact[0] <= self.settings.escape:
                 tier = Tier.AVOIDING
             self._judged[plan] = _Own(states, found, tier)
         return self._judged[plan]
@@ -220,14 +248,12 @@ class Judge:
         most = self.settings.margin
         margin = np.minimum(most, gaps[:, :1]) if gaps.shape[-1] else gaps[:, :1]
         keeps = np.isinf(contact) & np.all(gaps >= margin - 1e-6, axis=(1, 2))
-        return _Fan(nearest, contact, self._stoppable(states), keeps)
+        return _Fan(nearest, contact, self._room_to_stop(states), keeps)
 
-    def _stoppable(self, states: Array) -> Mask:
-        """Whether M robots, after one period, come to rest before they touch anybody, shape (M,).
-
-        Who stands is not at fault: contact counts while the robot moves.
-        """
-        robot, settings, (times, steps) = self.scenario.robot, self.settings, self._looks
+    def _room_to_stop(self, states: Array) -> Array:
+        """The room of M commands, shape (M,): of the stop after one period; −inf where a wall is
+        in its way."""
+        robot, (times, steps) = self.scenario.robot, self._looks
         # A state ends with the velocity, or with (v, ω): its length is the speed or more.
         speed = float(np.linalg.norm(states[:, steps, -2:], axis=-1).max())
         braking = speed / robot.max_acceleration
@@ -236,17 +262,31 @@ class Judge:
         stop = robot.model.driven(robot, states[:, steps], still, braked, 0.5)
         path = np.concatenate([states[:, : steps + 1, :2], stop[:, 1:, :2]], axis=1)
         when = np.append(times[: steps + 1], times[steps] + braked[1:])
-        moved = np.linalg.norm(np.diff(path, axis=1), axis=-1) > 1e-4
-        moving = np.concatenate([moved[:, :1], moved], axis=1)
-        mean, covariance = self.belief.predict(when)
-        variance = np.maximum(covariance[..., 0, 0] - covariance[0, :, 0, 0], 0.0)
-        grown = self.belief.radii + np.minimum(settings.sigmas * np.sqrt(variance), settings.most)
-        apart = np.linalg.norm(path[:, :, None] - mean[None, :, :, :2], axis=-1)
-        reach = apart - (robot.radius + grown)
-        hit = np.any(reach < np.minimum(reach[:, :1], 0.0) - 1e-6, axis=-1)
+        people = People(when, self.belief.predict(when)[0], self.belief.radii)
         wall = _walls(self.scenario, path)
-        hit |= wall < np.minimum(wall[:, :1], 0.0) - 1e-6
-        return np.asarray(~np.any(hit & moving, axis=1))
+        shut = (wall < np.minimum(wall[:, :1], 0.0) - 1e-6) & _moving(path)
+        room = self._room(_gaps(self.scenario, path, when, people), path, when)
+        return np.where(shut.any(axis=1), -np.inf, room)
+
+    def _room(self, gap: Array, path: Array, times: Array) -> Array:
+        """By how many standard deviations people may be nearer than expected before M robots on
+        paths (M, S, 2) touch them, shape (M,); negative where they are touched as expected.
+
+        Who stands is not at fault: contact counts while the robot moves. Nobody is asked for more
+        than `Guard.most`, and nobody for more than there is now: to lead away from somebody near
+        is always allowed, and who is in contact already must not come nearer.
+
+        Args:
+            gap: To the people, shape (M, S, n) [m].
+        """
+        covariance = self.belief.predict(times)[1]
+        variance = covariance[..., 0, 0] - covariance[0, :, 0, 0]
+        spread = np.sqrt(np.maximum(variance, 1e-12))
+        free = gap - np.minimum(gap[:, :1], 0.0) + 1e-6
+        nearer = gap < np.minimum(gap[:, :1], self.settings.most) - 1e-6
+        room = np.where(nearer, free / spread, np.inf)
+        nearest = room.min(axis=-1, initial=np.inf)
+        return np.asarray(np.where(_moving(path), nearest, np.inf).min(axis=1))
 
 
 def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
@@ -257,6 +297,12 @@ def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
     second = np.concatenate([fan, np.tile(then, (len(fan), 1))])
     early = times[:-1, None] < settings.turn - 1e-9
     return np.where(early, first[:, None], second[:, None])
+
+
+def _moving(path: Array) -> Mask:
+    """When robots move on paths (M, S, 2), shape (M, S)."""
+    moved = np.linalg.norm(np.diff(path, axis=1), axis=-1) > 1e-4
+    return np.concatenate([moved[:, :1], moved], axis=1)
 
 
 def _gaps(scenario: Scenario, path: Array, times: Array, people: People) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fgplan.driving.deliberation import Deliberation
 from fgplan.driving.observation import Observation
 from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import Blockage
@@ -30,6 +31,7 @@ class Memory:
         trajectory: What is being driven, None before the first observation.
         started: When that began [s].
         followed: Name of the hypothesis that is followed.
+        deliberation: How much better others have looked of late.
         operated: What the operator said.
         jumped: Whether the last observation was refused because the robot jumped.
         nearest: Shortest way to the goal so far [m], and when it was reached [s].
@@ -44,6 +46,7 @@ class Memory:
     trajectory: Trajectory | None = None
     started: float = 0.0
     followed: str | None = None
+    deliberation: Deliberation = Deliberation()  # noqa: RUF009 - frozen
     operated: Operated = field(default_factory=Operated)
     jumped: bool = False
     nearest: tuple[float, float] = (np.inf, -np.inf)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fgplan.backend import fastest
 from fgplan.crowd import Belief, heading, seen, visible
+from fgplan.driving.deliberation import Deliberation
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
 from fgplan.driving.guard import Guarded, Judge, Tier
 from fgplan.driving.memory import Memory
@@ -18,7 +19,7 @@ from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import update as update_blockages
 from fgplan.driving.progress import progressed
-from fgplan.driving.proposals import price, propose, route
+from fgplan.driving.proposals import price, propose, route_of
 from fgplan.driving.routing import Routes
 from fgplan.driving.settings import Settings
 from fgplan.driving.tracking import People, Tracker
@@ -121,6 +122,7 @@ class Planner:
             mixture=None if memory.jumped else memory.mixture,
             jumped=False,
             nearest=(np.inf, -np.inf) if further else memory.nearest,
+            deliberation=Deliberation(memory.followed) if further else memory.deliberation,
         )
         repairs += (*unknown, *refused, *doubts)
         if _reached(scenario, settings):
@@ -199,6 +201,13 @@ class Planner:
             proposed.extend(found)
             return operated.recalled(found, scenario.now, memory.followed)
 
+        def heard(components: Sequence[Component]) -> tuple[Deliberation, Array]:
+            scores, commitment = settings.select(components), settings.commitment
+            deliberation = memory.deliberation.heard(
+                components, scores, scenario.now, commitment, settings.deliberation
+            )
+            return deliberation, deliberation.steadied(components, scores, commitment)
+
         judge = self._judge(scenario, belief)
         left = None
         if settings.deadline is not None:
@@ -209,7 +218,7 @@ class Planner:
                 belief=belief,
                 hypotheses=hypotheses,
                 solver=settings.solver,
-                select=settings.select,
+                select=lambda components: heard(components)[1],
                 inference=settings.inference,
                 warm=memory.mixture,
                 deadline=left,
@@ -220,10 +229,11 @@ class Planner:
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
         chosen = _chosen(mixture, judge)
         safe = judge.command(chosen.robot, _expected(chosen, judge))
-        label = _route_of(chosen.label, memory.followed)
+        label = route_of(chosen.label, memory.followed)
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
         outcome, reason = self._outcome(memory, before, chosen, safe, label)
         nearest = _progress(memory, scenario)
+        deliberation, _ = heard(mixture.components)
         operated, intent = operated.note(proposed, scenario, label).understand(
             mixture, scenario, driven
         )
@@ -245,6 +255,7 @@ class Planner:
             trajectory=driven,
             started=scenario.now,
             followed=label,
+            deliberation=deliberation.following(label, scenario.now),
             nearest=nearest,
         )
         return decision, memory
@@ -257,12 +268,15 @@ class Planner:
         if not chosen.feasible:
             why = f"no hypothesis is safe ({'; '.join(chosen.check.problems)})"
         if safe.tier is Tier.LATEST_CONTACT:
-            when = "none" if np.isinf(safe.contact) else f"in {safe.contact:.1f} s"
             stops = np.linalg.norm(safe.trajectory.velocities[safe.step]) < STANDS
             outcome = Outcome.STOPPED if stops else Outcome.NO_VALID_CONTROL
-            return outcome, f"{why}; no command is clear of people (contact: {when})"
+            return outcome, f"{why}; no command is clear of people (in {safe.contact:.1f} s)"
         if safe.tier is Tier.AVOIDING:
             why += "; its command is not clear: the nearest clear one"
+        if safe.tier is Tier.YIELDING:
+            why += f"; no command is clear: at rest before somebody comes in {safe.contact:.1f} s"
+        if safe.tier is Tier.PASSING:
+            why += "; no stop is clear, but to go on is"
         if memory.followed is not None and label != memory.followed:
             known = any(way.label == memory.followed for way in before.ways)
             gone = not any(way.label == memory.followed for way in memory.routes.ways)
@@ -414,12 +428,6 @@ def _expected(component: Component, judge: Judge) -> Expected:
         return Expected(times, np.zeros((len(times), 0, 4)), radii)
     states = np.stack([person.states for person in component.crowd.values()], axis=1)
     return Expected(times, states, radii)
-
-
-def _route_of(label: str, followed: str | None) -> str:
-    """The route of a component, whose label joins all hypotheses that ended in it."""
-    routes = [route(part) for part in label.split("+")]
-    return followed if followed in routes else routes[0]
 
 
 def _progress(memory: Memory, scenario: Scenario) -> tuple[float, float]:

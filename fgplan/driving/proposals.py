@@ -107,6 +107,12 @@ def route(label: str) -> str:
     return label.partition(SEPARATOR)[0].removesuffix(WAITING)
 
 
+def route_of(label: str, followed: str | None) -> str:
+    """The route of a component, whose label joins all hypotheses that ended in it."""
+    routes = [route(part) for part in label.split("+")]
+    return followed if followed in routes else routes[0]
+
+
 def _pushing_on(
     scenario: Scenario, belief: Belief, way: Way, cost: Price, score: float, tries: Starts
 ) -> Hypothesis:

@@ -24,6 +24,8 @@ class Settings:
         deadline: Time a plan may take [s]; None lets it end.
         commitment: Prior cost of leaving the hypothesis that is followed: a factor
             exp(−commitment) on every other one [nats].
+        deliberation: Time over which the advantage of another route is averaged before it is
+            taken [s]; 0 believes the last plan alone.
         wait: How long a "wait" hypothesis waits at least, where people block the way within the
             horizon [s]; 0 proposes none.
         goal_tolerance: A goal is reached this near to it [m] (Nav2's xy_goal_tolerance).
@@ -41,6 +43,7 @@ class Settings:
     period: float = 0.1
     deadline: float | None = 0.08
     commitment: float = 1.0
+    deliberation: float = 0.5
     wait: float = 2.0
     goal_tolerance: float = 0.25
     blind: float = 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -11,17 +13,19 @@ from fgplan import CarLike, DifferentialDrive, Holonomic, OccupancyGrid, Robot, 
 from fgplan.crowd import Belief, heading
 from fgplan.driving.guard import Guard, Judge, Tier
 from fgplan.safety import People
+from fgplan.timing import timed
 
 PERIOD = 0.1
 MODELS = [Holonomic(), DifferentialDrive(), CarLike()]
 
 
-def belief(*people):
-    """People known to the centimetre: rows (x, y, vx, vy)."""
+def belief(*people, spread=0.01):
+    """People known to the centimetre, rows (x, y, vx, vy), and their velocities to a spread."""
     mean = np.array(people, dtype=float).reshape(-1, 4)
     n = len(mean)
     names = tuple(f"p{i}" for i in range(n))
-    return Belief(names, mean, np.tile(1e-4 * np.eye(4), (n, 1, 1)), np.full(n, 0.3), 0.03)
+    covariance = np.diag([1e-4, 1e-4, spread**2, spread**2])
+    return Belief(names, mean, np.tile(covariance, (n, 1, 1)), np.full(n, 0.3), 0.03)
 
 
 def straight(scenario):
@@ -71,7 +75,7 @@ def test_where_no_straight_way_is_clear_a_turn_is():
     ]
     grid = OccupancyGrid.from_polygons(walls, (-3, -1, 3, 4), 0.05)
     scenario, person = moving(grid=grid), belief([-0.9, 0.0, 0.8, 0.0])
-    assert guarded(scenario, person, settings=Guard(turn=np.inf)).tier is Tier.LATEST_CONTACT
+    assert guarded(scenario, person, settings=Guard(turn=np.inf)).tier is Tier.YIELDING
     found = guarded(scenario, person)
     assert found.tier is Tier.AVOIDING
     assert grid.clearance(found.trajectory.positions, 0.25).min() >= -1e-6
@@ -83,11 +87,82 @@ def test_a_clearance_below_the_margin_does_not_refuse_a_plan_that_leads_out_of_i
     assert found.tier is Tier.CLEAR
 
 
-def test_boxed_in_it_says_that_nothing_is_clear():
-    ring = [[0.7 * np.cos(a), 0.7 * np.sin(a), -np.cos(a), -np.sin(a)] for a in np.arange(8)]
-    found = guarded(moving(0.0), belief(*ring))
+def ring(distance, speed):
+    """Eight people who close in on the robot from all around."""
+    angle = np.pi / 4 * np.arange(8)
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return belief(*np.hstack([distance * out, -speed * out]))
+
+
+def test_boxed_in_at_rest_it_stays_at_rest_and_is_not_at_fault():
+    found = guarded(moving(0.0), ring(0.7, 1.0))
+    assert found.tier is Tier.YIELDING
+    assert np.isfinite(found.contact)
+    speed = np.linalg.norm(found.trajectory.velocities, axis=1)
+    assert speed[found.trajectory.times >= found.contact].max() == 0
+
+
+def test_boxed_in_too_fast_to_stop_it_says_that_nothing_is_clear():
+    found = guarded(moving(1.0), ring(0.8, 0.5))
     assert found.tier is Tier.LATEST_CONTACT
     assert np.isfinite(found.contact)
+
+
+def test_who_is_close_behind_is_run_away_from():
+    scenario = moving(1.0)
+    found = guarded(scenario, belief([-0.6, 0.0, 1.0, 0.0]))
+    assert found.tier is Tier.PASSING
+    assert found.contact == np.inf
+    assert room(scenario, belief([-0.6, 0.0, 1.0, 0.0]), found.trajectory) < 0
+
+
+def test_who_stands_near_does_not_hold_the_robot_for_ever():
+    """At a corner robot and person stood 6 cm apart, and no motion had two deviations of room."""
+    person, robot = belief([0.3, 0.53, 0.0, 0.0], spread=0.1), Robot(np.zeros(2), heading=0.0)
+    for _ in range(40):
+        scenario = Scenario(robot)
+        ahead = robot.position + np.array([[0.0, 0.0], [4.0, 0.0]])
+        plan = timed(ahead, scenario.density.times, 1.0, 1.0, robot.velocity)
+        found = guarded(scenario, person, plan)
+        assert found.tier is not Tier.LATEST_CONTACT
+        x, y, *velocity = found.trajectory.at(PERIOD)
+        robot = replace(robot, position=np.array([x, y]), velocity=np.array(velocity))
+        assert np.hypot(x - 0.3, y - 0.53) > 0.55
+    assert robot.position[0] > 1.0
+
+
+def room(scenario, people, trajectory):
+    """Standard deviations that are left when the robot brakes after a period, step by step."""
+    robot = scenario.robot
+    x, t = np.concatenate([trajectory.at(PERIOD)[:2], trajectory.at(PERIOD)[2:]]), PERIOD
+    least, variance = np.inf, people.covariance[0, 0, 0]
+    while True:
+        mean, covariance = people.predict(np.array([t]))
+        gap = np.linalg.norm(mean[0, :, :2] - x[:2], axis=1).min() - 0.55
+        spread = np.sqrt(covariance[0, 0, 0, 0] - variance)
+        least = min(least, np.inf if gap > Guard().most else gap / spread)
+        speed = np.linalg.norm(x[2:])
+        if speed < 1e-9:
+            return least
+        slower = x[2:] * max(0.0, 1 - 0.05 * robot.max_acceleration / speed)
+        x, t = np.concatenate([x[:2] + 0.025 * (x[2:] + slower), slower]), t + 0.05
+
+
+def test_where_no_stop_leaves_enough_room_the_clear_command_with_the_most_is_taken():
+    """Somebody walks beside the robot, nearer than two standard deviations of a stop."""
+    scenario, beside = moving(1.0), belief([-0.1, 0.6, 1.0, 0.0], spread=0.1)
+    found = guarded(scenario, beside)
+    assert found.tier is Tier.AVOIDING
+    own, taken = (room(scenario, beside, t) for t in (straight(scenario), found.trajectory))
+    assert 0 < own < taken < Guard().sigmas
+
+
+def test_who_is_walked_at_steps_away():
+    found = guarded(moving(0.0), belief([0.65, 0.0, -0.4, 0.0]))
+    assert found.tier is Tier.AVOIDING
+    times = found.trajectory.times
+    where = np.stack([0.65 - 0.4 * times, 0.0 * times], axis=1)
+    assert np.linalg.norm(found.trajectory.positions - where, axis=1).min() > 0.55
 
 
 @settings(max_examples=80, deadline=None)
@@ -105,16 +180,19 @@ def test_what_is_executed_keeps_the_limits_and_a_clear_command_is_taken(seed, mo
     times = trajectory.times
     where = people.predict(times)[0][..., :2]
     gap = np.linalg.norm(where - trajectory.positions[:, None], axis=-1).min(axis=1) - 0.55
-    if found.tier is not Tier.LATEST_CONTACT:
+    if found.tier not in (Tier.YIELDING, Tier.LATEST_CONTACT):
         assert gap[times <= Guard().escape].min() >= -1e-6
         assert gap[times < found.contact].min() >= -1e-6
         assert found.contact > Guard().escape
-    if found.tier in (Tier.CLEAR, Tier.AVOIDING):
+    if found.tier in (Tier.CLEAR, Tier.AVOIDING, Tier.PASSING):
         assert found.contact == np.inf
     if found.tier is Tier.CLEAR:
         assert gap.min() >= min(Guard().margin, gap[0]) - 1e-6
+    if found.tier is Tier.YIELDING:
+        moving_on = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1) > 1e-4
+        assert gap[1:][moving_on].min(initial=np.inf) >= -1e-6
     if found.tier is Tier.LATEST_CONTACT:
-        assert found.contact <= times[-1] or np.isinf(found.contact)
+        assert found.contact <= times[-1]
 
 
 @pytest.mark.parametrize("model", MODELS)
