@@ -192,7 +192,8 @@ def whitener(covariance: Any, name: str = "covariance") -> Array:
         raise ValueError(f"{name} must be a square matrix, got shape {S.shape}")
     if not np.all(np.isfinite(S)):
         raise ValueError(f"{name} holds a number that is not finite: {S.tolist()}")
-    if not np.allclose(S, S.T, rtol=1e-9, atol=1e-12 * np.abs(S).max()):
+    size = np.abs(S)
+    if (np.abs(S - S.T) > 1e-9 * size + 1e-12 * size.max()).any():
         raise ValueError(f"{name} must be symmetric, got {S.tolist()}")
     try:
         L = np.linalg.cholesky(S)

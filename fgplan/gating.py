@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from factors.interaction import Interaction
 from factors.pairwise import pair_index
+from factors.radial import components, square
 from fgplan.crowd import Belief
 from fgplan.hypothesis import Hypothesis
 from fgplan.scenario import Scenario
@@ -62,8 +63,8 @@ def gate(scenario: Scenario, belief: Belief, hypotheses: Sequence[Hypothesis]) -
         return Gate(planned, held, robot, no_pairs)
     i, j = (index - 1 for index in pair_index(n, "all"))
     i, j = i[i >= 0], j[i >= 0]
-    apart = np.linalg.norm(people[:, i] - people[:, j], axis=-1).min(axis=0)
-    matter = within[i] & within[j] & (apart < _cutoff(scenario) + ALLOWANCE)
+    apart = square([c[:, i] - c[:, j] for c in components(people)]).min(axis=0)
+    matter = within[i] & within[j] & (apart < (_cutoff(scenario) + ALLOWANCE) ** 2)
     body = np.cumsum(within)  # the robot is body 0
     among = np.column_stack([body[i[matter]], body[j[matter]]])
     return Gate(
@@ -88,8 +89,9 @@ def _within_reach(
     scenario: Scenario, people: Array, hypotheses: Sequence[Hypothesis]
 ) -> NDArray[np.bool_]:
     starts = np.stack([start.robot.positions for h in hypotheses for start in h.starts])
-    apart = np.linalg.norm(people[None] - starts[:, :, None], axis=-1)
-    return np.asarray(apart.min(axis=(0, 1)) <= scenario.density.reach)
+    each = zip(components(people), components(starts), strict=True)
+    apart = square([person - start[..., None] for person, start in each])
+    return np.asarray(apart.min(axis=(0, 1)) <= scenario.density.reach**2)
 
 
 def _cutoff(scenario: Scenario) -> float:

@@ -301,8 +301,7 @@ def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
     person = np.arange(2 * n).reshape(n, 2)
     index = np.hstack([person, person + 2 * n])
     covariance = np.zeros((4 * n, 4 * n))
-    for rows, block in zip(index, belief.covariance, strict=True):
-        covariance[np.ix_(rows, rows)] = block
+    covariance[index[:, :, None], index[:, None]] = belief.covariance
     yield Term("crowd now", gaussian(mean, covariance), (("crowd", 0),), range(1))
     prior = isotropic_prior(d.dt, belief.Qc, 2 * n)
     yield Term("crowd prior", prior, (("crowd", 0), ("crowd", 1)), range(d.steps))

@@ -91,9 +91,13 @@ class Wired:
 
 
 def interleaved(model: Model) -> Index:
-    """Place of each coordinate in the band: each of the people's positions beside its velocity,
-    with which alone the prior links it in the next step."""
+    """Place of each coordinate in the band: each position beside its velocity, with which alone the
+    prior links it in the next step, and the robot's velocities, which its limits link, side by
+    side."""
     order = np.arange(model.reference.shape[1])
+    robot = model.columns["robot"]
+    if robot.stop - robot.start == 4:
+        order[robot] = robot.start + np.array([0, 3, 1, 2])
     if "crowd" in model.columns:
         crowd = model.columns["crowd"]
         half = (crowd.stop - crowd.start) // 2

@@ -193,9 +193,13 @@ def _add_floor(
     problem: Problem, start: str, sample: Sample, records: Records, clock: Clock
 ) -> None:
     """What `fgplan` would take if everything but the linear systems were free."""
-    one = floor(problem, problem.initial[0], clock)
-    reached = replace(sample, seconds=sample.iterations * one)
-    records["floor", start].samples.append(reached)
+    ends = SecondOrder().solve(problem.assembly, problem.initial, problem.which)
+    for which, end in zip(problem.which.tolist(), ends, strict=True):
+        if end.converged:
+            one = floor(problem, end.state, which, clock)
+            reached = replace(sample, seconds=sample.iterations * one)
+            records["floor", start].samples.append(reached)
+            return
 
 
 def _plan_both(size: Size, seed: int, records: Records, clock: Clock) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.solver import ipopt, whitened
 from benchmarks.solver.problem import Problem
-from fgplan.block_tridiagonal import Chains, factorize
+from fgplan.block_tridiagonal import Chains
 from fgplan.solver import GtsamLM, SecondOrder, Solver
 
 Array = NDArray[np.float64]
@@ -118,19 +118,22 @@ PEERS: tuple[Peer, ...] = (Native(), GTSAM, Ipopt(), Ipopt(gated=True), Whitened
 
 
 def floor(
-    problem: Problem, state: Array, clock: Callable[[], float] = perf_counter, repeat: int = 5
+    problem: Problem,
+    state: Array,
+    which: int,
+    clock: Callable[[], float] = perf_counter,
+    repeat: int = 5,
 ) -> float:
-    """One block-tridiagonal factorisation and solve at a state (T + 1, D) [s]: least of a few."""
-    q = problem.assembly.expand(state[None], problem.which[:1])
-    diagonal, upper = q.hessian(np.zeros(1, dtype=np.intp))
-    if factorize(diagonal[0], upper[0]) is None:
-        diagonal, upper = problem.assembly.linear_hessian(problem.which[:1])
-        problem.assembly.hold_fixed(diagonal, upper)
+    """One banded factorisation and solve at an optimum (T + 1, D) [s], with the kernels that the
+    solver uses: least of a few."""
+    assembly = problem.assembly
+    q = assembly.expand(state[None], np.array([which]))
+    hessian = q.hessian(np.zeros(1, dtype=np.intp))
+    chains = Chains.of(*hessian, assembly.order, assembly.linked)
     seconds = []
     for _ in range(repeat):
-        band = Chains.of(diagonal[:1], upper[:1], problem.assembly.order, problem.assembly.linked)
         began = clock()
-        _, definite = band.solve(q.gradient)
+        _, definite = assembly.backend.steps(chains, np.zeros(1, dtype=np.intp), (), q.gradient)
         seconds.append(clock() - began)
         assert definite.all()
     return min(seconds)

@@ -102,7 +102,8 @@ def test_all_peers_find_the_one_optimum_of_open_space() -> None:
 
 def test_floor_is_a_time() -> None:
     _, problem = small()
-    assert 0 < floor(problem, problem.initial[0]) < 1
+    end = SecondOrder().solve(problem.assembly, problem.initial[:1], problem.which[:1])[0]
+    assert 0 < floor(problem, end.state, int(problem.which[0])) < 1
 
 
 def test_scenes_are_valid_and_repeat() -> None:
