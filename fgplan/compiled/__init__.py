@@ -26,7 +26,7 @@ class Compiled:
     """The `fgplan.backend.Backend` of compiled kernels."""
 
     def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
-        return pairs.fused([limits.compiled(term) for term in terms])
+        return pairs.fused(list(limits.fused(terms)))
 
     def product(self, diagonal: Array, upper: Array) -> Product:
         own, links = np.argwhere(diagonal.any(axis=0)), np.argwhere(upper.any(axis=0))

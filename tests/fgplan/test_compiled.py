@@ -121,22 +121,40 @@ def test_pairs_with_people_held(n, alpha, weight, spread, batch, per_step, seed)
     agree([PredictedPairs(Together((contact, Together((interaction,)))), people)], (robot,))
 
 
+def limited(limit: float, weight: float, dim: int = 4) -> list[Term]:
+    """Limits on speed and acceleration, as a robot has them."""
+    speed = SpeedLimit(limit, 0.1, weight, dim)
+    acceleration = AccelerationLimit(limit, 0.1, 0.4, weight, dim)
+    return [
+        Term("speed", speed, (("robot", 0),), range(1, STEPS + 1)),
+        Term("acceleration", acceleration, (("robot", 0), ("robot", 1)), range(STEPS)),
+    ]
+
+
+def two_limits(terms: list[Term], method: str, before: Any, after: Any) -> Expansion:
+    """Both in numpy, on the velocities of two states."""
+    speed, acceleration = (getattr(term.residual, method) for term in terms)
+    energy, gradient, hessian = acceleration(before, after)
+    first = speed(after)
+    gradient[..., 2:] += first.gradient
+    hessian[..., 2:, 2:] += first.hessian
+    return Expansion(energy + first.energy, gradient, hessian)
+
+
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0, 2), weights, spreads, st.sampled_from(BATCHES), seeds)
 def test_limits_on_a_norm(limit, weight, spread, batch, seed):
     rng = np.random.default_rng(seed)
-    before, after = states(rng, batch, 4, spread), states(rng, batch, 4, spread)
-    speed = SpeedLimit(limit, 0.1, weight)
-    agree([speed], (before,))
-    acceleration = AccelerationLimit(limit, 0.1, 0.4, weight)
-    (term,) = Compiled().fused([Term("", acceleration, (("robot", 0), ("robot", 1)), range(STEPS))])
+    x = states(rng, batch, 4, spread), states(rng, batch, 4, spread)
+    numpy = limited(limit, weight)
+    (term,) = Compiled().fused(numpy)
     assert term.residual.convex
-    assert_array_equal(term.residual.support, acceleration.support)
-    close(term.residual.energy(before, after), acceleration.energy(before, after))
-    for mine, theirs in zip(
-        term.residual.expand(before, after), acceleration.expand(before, after), strict=True
-    ):
-        close(mine, theirs)
+    assert_array_equal(term.residual.support, numpy[1].residual.support)
+    for method in ("expand", "gauss_newton"):
+        expected = two_limits(numpy, method, *x)
+        close(term.residual.energy(*x), expected.energy)
+        for mine, theirs in zip(getattr(term.residual, method)(*x), expected, strict=True):
+            close(mine, theirs)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -150,7 +168,6 @@ def test_what_is_not_finite_spreads_alike(value, spread):
     for numpy, x in (
         ([CrowdPairs(p, 2, "robot") for p in potentials], (robot, crowd)),
         ([PredictedPairs(p, people) for p in potentials], (robot,)),
-        ([SpeedLimit(0.5, 0.1)], (robot,)),
     ):
         compiled = [term.residual for term in Compiled().fused(terms_of(*numpy))]
         for method in ("expand", "gauss_newton"):
@@ -160,6 +177,15 @@ def test_what_is_not_finite_spreads_alike(value, spread):
             for one, other in zip(mine[1:], theirs[1:], strict=True):
                 axes = tuple(range(2, one.ndim))
                 assert_array_equal(np.isfinite(one).all(axes), np.isfinite(other).all(axes))
+    terms, after = limited(0.5, 1.0), states(rng, (2,), 4, spread)
+    (term,) = Compiled().fused(terms)
+    with np.errstate(all="ignore"):
+        for mine, theirs in zip(
+            term.residual.expand(robot, after),
+            two_limits(terms, "expand", robot, after),
+            strict=True,
+        ):
+            close(mine, theirs)
 
 
 def test_what_has_no_compiled_form_stays_as_it_is():
@@ -172,7 +198,8 @@ def test_what_has_no_compiled_form_stays_as_it_is():
         CrowdPairs(Mine(), 2),
         CrowdPairs(Together((Interaction(), Mine())), 2),
         PredictedPairs(Interaction(), people, robot_dim=6),
-        SpeedLimit(1.0, 0.1, dim=6),
+        *(term.residual for term in limited(1.0, 1.0, dim=6)),
+        SpeedLimit(1.0, 0.1),
     ]
     kept = [term.residual for term in Compiled().fused(terms_of(*odd))]
     assert len(kept) == len(odd)
