@@ -144,7 +144,7 @@ def _measure_plans(size: Size, effort: Effort, records: Records, tell: Tell, tic
             tell(f"{where}: {peer.name} left out, it is for up to {peer.most_people} people")
     peers = tuple(peer for peer in peers if size.n <= peer.most_people)
     for seed in range(effort.scenes):
-        problems = _pair(size, seed)
+        problems = problems_of(size, seed)
         for peer in peers:
             if budget.allows(peer.name):
                 with budget.scene(peer.name):
@@ -155,7 +155,7 @@ def _measure_plans(size: Size, effort: Effort, records: Records, tell: Tell, tic
         tick()
 
 
-def _pair(size: Size, seed: int) -> dict[str, Problem]:
+def problems_of(size: Size, seed: int) -> dict[str, Problem]:
     """A cold problem and, one step later, a warm one: the same for all solvers."""
     world = World.random(seed, size.n, size.density)
     arguments = {"T": size.T, "K": size.K}

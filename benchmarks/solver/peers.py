@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.solver import ipopt, whitened
 from benchmarks.solver.problem import Problem
+from fgplan.backend import Backend, Numpy
 from fgplan.block_tridiagonal import Chains
 from fgplan.solver import GtsamLM, SecondOrder, Solver
 
@@ -48,17 +49,19 @@ class Native:
         name: In the table.
         solver: It.
         most_people: It would take too long with more.
+        backend: What computes; by default the fastest there is.
     """
 
     name: str = "fgplan"
     solver: Solver = field(default_factory=SecondOrder)
     most_people: int = 1000
+    backend: Backend | None = None
 
     def prepare(self, problem: Problem) -> None:
         """Nothing: the density is assembled anew for every plan."""
 
     def solve(self, problem: Problem, prepared: None) -> tuple[Array, int]:
-        assembly = problem.assemble()
+        assembly = problem.assemble(self.backend)
         solutions = self.solver.solve(assembly, problem.initial, problem.which)
         return _stacked([(s.state, s.iterations) for s in solutions])
 
@@ -113,8 +116,9 @@ class Whitened:
         return _stacked([whitened.minimise(assembly, state, which) for state, which in starts])
 
 
+NUMPY = Native("fgplan, numpy", most_people=20, backend=Numpy())
 GTSAM = Native("GTSAM LM", GtsamLM(), most_people=20)
-PEERS: tuple[Peer, ...] = (Native(), GTSAM, Ipopt(), Ipopt(gated=True), Whitened())
+PEERS: tuple[Peer, ...] = (Native(), NUMPY, GTSAM, Ipopt(), Ipopt(gated=True), Whitened())
 
 
 def floor(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import World
 from fgplan.assembly import Assembly
+from fgplan.backend import Backend
 from fgplan.components import Solving
 from fgplan.crowd import Belief, believe, seen
 from fgplan.hypotheses import hypothesise
@@ -43,9 +44,9 @@ class Problem:
     starts: tuple[Start, ...]
     which: Index
 
-    def assemble(self) -> Assembly:
+    def assemble(self, backend: Backend | None = None) -> Assembly:
         """The density, from scratch: a planner does this for every plan."""
-        return Assembly(build(self.scenario, self.belief, self.hypotheses))
+        return Assembly(build(self.scenario, self.belief, self.hypotheses), backend)
 
     @cached_property
     def assembly(self) -> Assembly:

@@ -16,6 +16,7 @@ REFERENCE = (10, 30, 3)
 COLOURS = {  # Okabe and Ito's, told apart by the colour-blind
     "fgplan": "#0072B2",
     "fgplan.plan": "#56B4E9",
+    "fgplan, numpy": "#F0E442",
     "GTSAM LM": "#E69F00",
     "CasADi + IPOPT": "#D55E00",
     "CasADi + IPOPT, gated": "#CC79A7",

@@ -90,18 +90,19 @@ def _less_panel(columns: Array, panel: Array) -> None:
 
 @reordered()
 def _back_substitute(L: Array, x: Array) -> None:
-    """x ← L⁻ᵀ x."""
+    """x ← L⁻ᵀ x, with the L of `_factorise`."""
     rows, width = L.shape
     for r in range(rows - 1, -1, -1):
         column, rest, total = L[r], x[r:], 0.0
         for o in range(1, min(width, rows - r)):
             total += column[o] * rest[o]
-        x[r] = (x[r] - total) / column[0]
+        x[r] = (x[r] - total) * column[0]
 
 
 @reordered()
 def _factorise(A: Array, x: Array, panel: Array) -> bool:
-    """L with L Lᵀ = H in place, and x ← L⁻¹ x; whether H is positive definite.
+    """L with L Lᵀ = H in place, its diagonal inverted, and x ← L⁻¹ x; whether H is positive
+    definite.
 
     The panel (PANEL, width + PANEL) is zero where no column of it has entries: row q holds column
     q, from its place q on.
@@ -123,6 +124,7 @@ def _factorise(A: Array, x: Array, panel: Array) -> bool:
             for o in range(width):
                 column[o] *= inverse
                 own[o] = column[o]
+            column[0] = inverse  # all that is asked of the diagonal from here on
             x[first + q] *= inverse
             known, rest = x[first + q], x[first + q :]
             for o in range(1, min(width, rows - first - q)):
