@@ -20,6 +20,8 @@ PEOPLE = (1, 12)
 """Fewest and most people of a random scene."""
 PLANS = 3
 """Given plans of a random scene."""
+CLEAR = ("core", "solo")
+"""Strata of the recorded cases in which no wall is where the person went."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +53,10 @@ def random_scene(seed: int) -> Scene:
 
 
 def recorded_scenes(folder: Path, count: int) -> list[Scene]:
-    """Moments of recorded cases; the robot follows its own plan in between."""
+    """Moments of recorded cases whose way no wall blocks; the robot follows its own plan in
+    between."""
     dt = Density().dt
-    cases = [case for case in load_cases(folder) if case.duration > 2 * dt]
+    cases = [c for c in load_cases(folder) if c.tier in CLEAR and c.duration > 2 * dt]
     # More scenes hold all that fewer do: what is known of those is still of use.
     chosen = np.random.default_rng(0).permutation(len(cases))[:count].tolist()
     recordings = {
