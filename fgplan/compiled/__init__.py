@@ -22,6 +22,11 @@ Mask = NDArray[np.bool_]
 Product = Callable[[Array], Array]
 
 
+WIDEST = 120
+"""Width of a band up to which the kernel was measured to be faster than LAPACK, whose blocks fit a
+smaller part of the cache."""
+
+
 class Compiled:
     """The `fgplan.backend.Backend` of compiled kernels."""
 
@@ -49,5 +54,9 @@ class Compiled:
             for wired, part in parts:
                 first, stride = wired.first.start * size, (wired.first.step or 1) * size
                 band.add(systems, part[here], first, stride, wired.places)
-            band.solve(systems, gradient[here], chains.order, steps[here], definite[here])
+            if systems.shape[-1] <= WIDEST:
+                band.solve(systems, gradient[here], chains.order, steps[here], definite[here])
+            else:
+                wide = Chains(systems, chains.order)
+                steps[here], definite[here] = wide.solve(-gradient[here])
         return steps, definite

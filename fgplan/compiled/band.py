@@ -2,7 +2,7 @@
 
 The band is that of `fgplan.block_tridiagonal.Chains`: entry (row, column) is at (column, row −
 column). Its Cholesky factor is found a panel of columns at a time, as in LAPACK's `dpbtrf`, which
-takes 1.7 times as long where a band is 40 to 50 wide, and as long where it is 80.
+takes 1.7 times as long where a band is 40 to 60 wide.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from fgplan.wheeled import CarLike, DifferentialDrive
 from tests.scenes import CORRIDOR, ONE, STACK, believed, dense, jittered, random_scene, short
 
 pytest.importorskip("numba")
-from fgplan.compiled import Compiled
+from fgplan.compiled import WIDEST, Compiled
 from fgplan.compiled.band import add, solve
 
 STEPS = 4
@@ -302,6 +302,21 @@ def test_steps_solve_the_dense_system(S, D, B, seed):
     for b in np.flatnonzero(definite):
         H = dense(diagonal[b], upper[b])
         assert_allclose(H @ step[b].ravel(), -gradient[b].ravel(), rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("D", [3, WIDEST])
+def test_narrow_and_wide_bands_have_the_steps_of_numpy(D):
+    rng = np.random.default_rng(D)
+    diagonal = rng.normal(size=(2, 3, D, D))
+    diagonal = diagonal @ np.swapaxes(diagonal, -1, -2) + 4 * D * np.eye(D)
+    diagonal[1] *= -1
+    chains = Chains.of(diagonal, rng.normal(size=(2, 2, D, D)))
+    arguments = chains, np.array([0, 1, 0]), (), rng.normal(size=(3, 3, D))
+    step, definite = Compiled().steps(*arguments)
+    expected, also = Numpy().steps(*arguments)
+    assert_array_equal(definite, also)
+    assert definite.tolist() == [True, False, True]
+    assert_allclose(step, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_blocks_are_added_where_the_chain_has_them():
