@@ -172,7 +172,8 @@ class Judge:
             room = np.minimum(found.room[rest], self._room(gap, states[rest, :, :2], times))
             order = np.lexsort((apart[rest], -np.round(room, 1)))
         else:
-            late, gap = np.round(found.contact[rest], 1), np.round(found.gap[rest], 2)
+            late = np.round(found.contact[rest], 1)
+            gap = np.round(np.minimum(found.gap[rest], self.settings.most), 2)
             order = np.lexsort((apart[rest], -gap, -late))
         best = int(rest[order[0]])
         taken = states[best]
@@ -187,6 +188,7 @@ class Judge:
         most = min(self.settings.sigmas, found.room.max())
         for tier, among in (
             (Tier.AVOIDING, clear & (found.room >= 0)),
+            (Tier.PASSING, found.keeps),
             (Tier.YIELDING, found.room >= max(most, 0.0)),
             (Tier.PASSING, clear),
         ):
