@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from importlib.util import find_spec
 from typing import Protocol
 
 import numpy as np
@@ -96,11 +95,12 @@ class Numpy:
 
 @lru_cache(maxsize=1)
 def fastest() -> Backend:
-    """Compiled kernels where numba is installed (`pip install fgplan[fast]`), else numpy."""
-    if find_spec("numba") is None:
+    """Compiled kernels where there is a numba that works (`pip install 'fgplan[fast]'`), else
+    numpy."""
+    try:
+        from fgplan.compiled import Compiled  # importing numba takes as long as half of fgplan
+    except ImportError:  # there is none, or not for this numpy
         return Numpy()
-    from fgplan.compiled import Compiled  # importing numba takes longer than the rest of fgplan
-
     return Compiled()
 
 

@@ -50,5 +50,13 @@ def _compiled(arguments: tuple[Any, ...], fastmath: Any) -> Decorator:
     if not arguments:
         inner: Decorator = njit(**options)
         return inner
-    outer: Decorator = njit(types.void(*arguments), cache=True, **options)
+
+    def outer(function: F) -> F:
+        signature = types.void(*arguments)
+        try:
+            kept: F = njit(signature, cache=True, **options)(function)
+        except RuntimeError:  # there is nowhere to keep it
+            kept = njit(signature, **options)(function)
+        return kept
+
     return outer

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -33,6 +32,7 @@ from tests.scenes import CORRIDOR, ONE, STACK, believed, dense, jittered, random
 pytest.importorskip("numba")
 from fgplan.compiled import WIDEST, Compiled
 from fgplan.compiled.band import add, solve
+from fgplan.compiled.kernel import exact, result
 
 STEPS = 4
 seeds = st.integers(0, 2**32 - 1)
@@ -338,7 +338,7 @@ def test_blocks_are_added_where_the_chain_has_them():
 
 
 def test_without_numba_numpy_does_it(monkeypatch):
-    monkeypatch.setattr(backend, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "fgplan.compiled", None)  # importing it fails
     backend.fastest.cache_clear()
     try:
         assert isinstance(backend.fastest(), Numpy)
@@ -346,11 +346,25 @@ def test_without_numba_numpy_does_it(monkeypatch):
     finally:
         backend.fastest.cache_clear()
         monkeypatch.undo()
-    assert importlib.util.find_spec("numba") is not None
     assert isinstance(backend.fastest(), Compiled)
     again = plan(SCENES["joint"])
     assert [c.label for c in again.components] == [c.label for c in mixture.components]
     assert again.best.energy == pytest.approx(mixture.best.energy, rel=1e-9)
+
+
+def test_where_nothing_can_be_kept_kernels_are_compiled_for_the_process(monkeypatch):
+    def refuse(function: Any) -> Any:
+        raise RuntimeError("cannot cache function: no locator available")
+
+    monkeypatch.setattr("numba.core.dispatcher.FunctionCache", refuse)
+
+    def double(x: Any) -> None:
+        for i in range(len(x)):
+            x[i] *= 2
+
+    x = np.ones(3)
+    exact(result(1))(double)(x)
+    assert_array_equal(x, 2.0)
 
 
 def test_a_second_process_does_not_compile_again():
