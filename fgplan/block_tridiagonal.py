@@ -269,7 +269,8 @@ class Chains:
         chains = cls(np.zeros((B, S * D, 1 + reach)), place)
         chains.upper[..., place[a], place[b]] = upper[..., a, b]
         at = np.argsort(place)
-        a, b = np.tril_indices(D)
+        used: NDArray[np.bool_] = np.any(diagonal, axis=(0, 1))
+        a, b = np.nonzero(np.tril(used[np.ix_(at, at)]))
         chains.diagonal[..., a, b] = diagonal[..., at[a], at[b]]
         return chains
 

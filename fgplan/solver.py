@@ -137,9 +137,12 @@ class SecondOrder:
             iterations[active] += 1
             decrement[active], energy[active] = way.promised, way.expansion.energy
             done = way.promised < self.tolerance
-            for b, curved in zip(active[done].tolist(), way.minimum[done].tolist(), strict=True):
-                stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
-            last[active[done]] = way.step[done]
+            if done.any():
+                for b, curved in zip(
+                    active[done].tolist(), way.minimum[done].tolist(), strict=True
+                ):
+                    stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
+                last[active[done]] = way.step[done]
             ended = done
             if rivals:
                 hopeless = ~done & self._hopeless(way, energy, which, active)
@@ -150,19 +153,21 @@ class SecondOrder:
             if not len(going):
                 break
             length, reached = _line_search(assembly, X[active], way, which[active], going)
-            moved = length > 0
-            on = active[going[moved]]
+            rows, moved = active[going], length > 0
+            on = rows[moved]
             X[on] = assembly.moved(X[on], length[moved, None, None] * way.step[going[moved]])
-            energy[active[going]] = reached
-            ahead = way.newton[going]
-            for b, i in zip(active[going[~moved]].tolist(), going[~moved].tolist(), strict=True):
-                if way.promised[i] < 1e-6:  # nothing is lower, as far as rounding tells
-                    stop[b] = Stop.CONVERGED if way.minimum[i] else Stop.SADDLE
-                elif not way.newton[i]:
-                    stop[b] = Stop.NO_DESCENT
-            # Where Newton's step leads nowhere Gauss-Newton's may.
-            stuck[active[going]] = again = ~moved & ahead & (way.promised[going] >= 1e-6)
-            on = np.sort(np.concatenate([on, active[going[again]]]))
+            energy[rows], stuck[rows] = reached, False
+            if not moved.all():
+                still, at = rows[~moved], going[~moved]
+                for b, i in zip(still.tolist(), at.tolist(), strict=True):
+                    if way.promised[i] < 1e-6:  # nothing is lower, as far as rounding tells
+                        stop[b] = Stop.CONVERGED if way.minimum[i] else Stop.SADDLE
+                    elif not way.newton[i]:
+                        stop[b] = Stop.NO_DESCENT
+                # Where Newton's step leads nowhere Gauss-Newton's may.
+                again = still[way.newton[at] & (way.promised[at] >= 1e-6)]
+                stuck[again] = True
+                on = np.sort(np.concatenate([on, again]))
             active = self._apart(X, energy, which, on, stop) if rivals else on
         end = assembly.moved(X, last)
         after = assembly.energy(end, which)
@@ -317,26 +322,26 @@ def _line_search(
     before, promised = way.expansion.energy[rows], np.maximum(way.promised[rows], 0.0)
     energies = assembly.along(way.expansion, X, way.step, which)
     length, reached = np.ones(len(rows)), _finite(energies(np.ones((1, len(rows))), rows))[0]
+
+    def search(some: Index, lengths: tuple[float, ...]) -> None:
+        s = np.array(lengths)
+        tried = _finite(energies(np.tile(s[:, None], len(some)), rows[some]))
+        best, lowest = s[tried.argmin(axis=0)], tried.min(axis=0)
+        better = lowest < reached[some]
+        length[some[better]], reached[some[better]] = best[better], lowest[better]
+
     poor = np.flatnonzero(reached > before - FULL_STEP * promised)
     for lengths in (LENGTHS, SHORT_LENGTHS):
         if not len(poor):
             break
-        s = np.array(lengths)
-        tried = _finite(energies(np.tile(s[:, None], len(poor)), rows[poor]))
-        best = tried.argmin(axis=0)
-        lowest = tried.min(axis=0)
-        better = lowest < reached[poor]
-        length[poor[better]], reached[poor[better]] = s[best[better]], lowest[better]
+        search(poor, lengths)
         # A longer search is only for those that still go up.
         poor = poor[reached[poor] >= before[poor]]
-    way_down = before - reached > CURVED * promised
-    long = np.flatnonzero(way_down & ~way.newton[rows] & (length == 1.0))
-    if len(long):
-        s = np.array(LONG_LENGTHS)
-        tried = _finite(energies(np.tile(s[:, None], len(long)), rows[long]))
-        best, lowest = tried.argmin(axis=0), tried.min(axis=0)
-        better = lowest < reached[long]
-        length[long[better]], reached[long[better]] = s[best[better]], lowest[better]
+    if not way.newton[rows].all():
+        way_down = before - reached > CURVED * promised
+        long = np.flatnonzero(way_down & ~way.newton[rows] & (length == 1.0))
+        if len(long):
+            search(long, LONG_LENGTHS)
     descends = reached < before
     return np.where(descends, length, 0.0), np.where(descends, reached, before)
 
