@@ -162,12 +162,13 @@ class _Paths:
                 energy, slope = self._slope(Y)
                 r = r - (0.5 if leap == leaps - 1 else 1.0) * step * L.forward(slope)
             error = energy + 0.5 * np.einsum("nsd,nsd->n", r, r) - before
+            end = mass.bend(Y)
         self.gradients += leaps * len(Y)
         error = np.where(np.isfinite(error), error, np.inf)
         self.divergences += int(np.count_nonzero(error > DIVERGED))
         probability = np.exp(-np.maximum(error, 0.0))
         accepted = rng.random(len(Y)) < probability
-        accepted &= self.target.posterior.allows(self.mass.bend(Y))
+        accepted &= self.target.posterior.allows(end)
         self._move(Y, energy, slope, accepted)
         self.accepted = float(accepted.mean())
         return np.asarray(probability)
