@@ -36,11 +36,12 @@ class Tier(IntEnum):
     AVOIDING = 2
     """The same, by the nearest clear command that is stoppable, of those that keep the margin if
     any does; where none is stoppable, by the clear one with the most room, carried on or not."""
-    YIELDING = 3
-    """None is clear, but the robot can be at rest before it is touched: of the commands with enough
-    room the one whose contact would come latest, and after it a stop."""
-    PASSING = 4
-    """No stop is clear, but to go on is: somebody is close behind or beside."""
+    PASSING = 3
+    """No stop is clear, but to go on is: somebody is close behind or beside, or comes straight at
+    the robot."""
+    YIELDING = 4
+    """No command keeps the margin, but the robot can be at rest before it is touched: of those with
+    enough room the one whose contact would come latest, and after it a stop."""
     LATEST_CONTACT = 5
     """Nothing is clear: the command whose contact comes latest, and is the slightest."""
 
@@ -173,8 +174,9 @@ class Judge:
             order = np.lexsort((apart[rest], -np.round(room, 1)))
         else:
             late = np.round(found.contact[rest], 1)
-            gap = np.round(np.minimum(found.gap[rest], self.settings.most), 2)
-            order = np.lexsort((apart[rest], -gap, -late))
+            # More room than enough is not worth a detour.
+            enough = np.round(np.minimum(found.gap[rest], self.settings.most), 2)
+            order = np.lexsort((apart[rest], -enough, -late))
         best = int(rest[order[0]])
         taken = states[best]
         if tier is Tier.YIELDING:

@@ -116,6 +116,18 @@ def test_who_is_close_behind_is_run_away_from():
     assert room(scenario, belief([-0.6, 0.0, 1.0, 0.0]), found.trajectory) < 0
 
 
+def test_who_comes_too_fast_to_stop_for_is_passed_by_going_on():
+    """A robot that could be at rest in time would be run into where it stands."""
+    robot = Robot(np.zeros(2), np.array([0.0, 1.0]), 0.0, max_speed=2.0, max_acceleration=2.0)
+    person = belief([1.6, 0.2, -2.2, 0.0], spread=0.1)
+    found = guarded(Scenario(robot), person)
+    assert found.tier is Tier.PASSING
+    where = person.predict(found.trajectory.times)[0][:, 0, :2]
+    gap = np.linalg.norm(found.trajectory.positions - where, axis=1) - 0.55
+    assert gap.min() >= 0.1
+    assert room(Scenario(robot), person, found.trajectory) < 0
+
+
 def test_who_stands_near_does_not_hold_the_robot_for_ever():
     """At a corner robot and person stood 6 cm apart, and no motion had two deviations of room."""
     person, robot = belief([0.3, 0.53, 0.0, 0.0], spread=0.1), Robot(np.zeros(2), heading=0.0)
