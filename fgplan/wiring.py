@@ -95,8 +95,8 @@ def interleaved(model: Model) -> Index:
     prior links it in the next step, and the robot's velocities, which its limits link, side by
     side."""
     order = np.arange(model.reference.shape[1])
-    robot = model.columns.get("robot", slice(0, 0))
-    if robot.stop - robot.start == 4:
+    robot = model.columns.get("robot")
+    if robot is not None and robot.stop - robot.start == 4:
         order[robot] = robot.start + np.array([0, 3, 1, 2])
     if "crowd" in model.columns:
         crowd = model.columns["crowd"]
