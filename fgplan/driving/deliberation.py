@@ -4,7 +4,9 @@ The energy of an optimum is one noisy sample: people are predicted at constant v
 optimum is found changes from step to step. What is compared between routes is therefore the
 advantage over the route that is followed, averaged over the last steps with exponential
 forgetting. Lasting evidence counts in full, strong evidence at once: an advantage of a nats above
-a commitment of c nats is taken after −τ log(1 − c/a).
+a commitment of c nats is taken after −τ log(1 − c/a). Nor is the robot committed at once to a
+route that it took on one sample: the commitment grows with the time it has been followed, as
+c (1 − exp(−t/τ)). Of people who are seen for the first time not even the velocity is known.
 
 Reference:
     Kulhavý and Zarrop, On a general concept of forgetting, Int. J. Control 58(4), 1993.
@@ -13,7 +15,7 @@ Reference:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +32,19 @@ class Deliberation:
 
     Args:
         followed: The route they are compared with; None before the first.
+        since: When it was taken [s].
         of: Advantage by route [nats].
         when: Until when they are averaged [s].
     """
 
     followed: str | None = None
+    since: float = -np.inf
     of: Mapping[str, float] = field(default_factory=dict)
     when: float = -np.inf
+
+    def commitment(self, full: float, now: float, over: float) -> float:
+        """What leaving the followed route costs now [nats]: in the end `full`."""
+        return full * _share(now - self.since, over)
 
     def heard(
         self,
@@ -62,13 +70,13 @@ class Deliberation:
         here = best.pop(self.followed or "", -np.inf)
         if not np.isfinite(here):
             return self
-        share = 1.0 if over <= 0 else 1 - np.exp(-(now - self.when) / over)
+        share = _share(now - self.when, over)
         of = {}
         for name, score in best.items():
             seen = score - here + commitment
             of[name] = self.of.get(name, min(seen, 0.0))
             of[name] += share * (seen - of[name]) if np.isfinite(seen) else 0.0
-        return Deliberation(self.followed, {**self.of, **of}, now)
+        return replace(self, of={**self.of, **of}, when=now)
 
     def steadied(self, components: Sequence[Component], scores: Array, commitment: float) -> Array:
         """Scores in which each route has the advantage that it had on average, shape (K,)."""
@@ -88,10 +96,10 @@ class Deliberation:
         if name == self.followed:
             return self
         if self.followed is None or name not in self.of:
-            return Deliberation(name, {}, now)
+            return Deliberation(name, now, {}, now)
         to = self.of[name]
         of = {other: value - to for other, value in self.of.items() if other != name}
-        return Deliberation(name, {**of, self.followed: -to}, self.when)
+        return Deliberation(name, now, {**of, self.followed: -to}, self.when)
 
     def _best(self, components: Sequence[Component], scores: Array) -> dict[str, float]:
         """The best score of each route that may be driven."""
@@ -101,3 +109,8 @@ class Deliberation:
             usable = score if component.feasible else -np.inf
             best[name] = max(best.get(name, -np.inf), usable)
         return best
+
+
+def _share(time: float, over: float) -> float:
+    """How much of what is averaged over a time constant is newer than `time` ago [s]."""
+    return 1.0 if over <= 0 else float(1 - np.exp(-time / over))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -107,7 +107,8 @@ class Planner:
         known = memory.observation is not None and not memory.jumped
         came_from = memory.scenario.robot.position if known else None
         mission, unknown = progressed(scenario, came_from, observation.facts)
-        further = observation.goal is not None or mission != scenario.mission
+        elsewhere = not np.array_equal(scenario.goal, memory.scenario.goal)  # type: ignore[arg-type]
+        further = elsewhere or mission != scenario.mission
         scenario = scenario.replace(mission=mission)
         operated, doubts = memory.operated.hear(observation.operator, scenario)
         scenario = scenario.replace(data=operated.data)
@@ -122,7 +123,9 @@ class Planner:
             mixture=None if memory.jumped else memory.mixture,
             jumped=False,
             nearest=(np.inf, -np.inf) if further else memory.nearest,
-            deliberation=Deliberation(memory.followed) if further else memory.deliberation,
+            deliberation=Deliberation(memory.followed, scenario.now)
+            if further
+            else memory.deliberation,
         )
         repairs += (*unknown, *refused, *doubts)
         if _reached(scenario, settings):
@@ -181,6 +184,9 @@ class Planner:
             leads = [Lead(way.path, cost.total) for way, cost in ways]
             operated = operated.seek(scenario, leads, settings.routing)
         proposed: list[Hypothesis] = []
+        commitment = memory.deliberation.commitment(
+            settings.commitment, scenario.now, settings.deliberation
+        )
 
         def hypotheses(scenario: Scenario, belief: Belief) -> Sequence[Hypothesis]:
             others = [h for source in self.sources for h in source(scenario, belief)]
@@ -193,7 +199,7 @@ class Planner:
                 belief,
                 ways,
                 memory.followed,
-                settings.commitment,
+                commitment,
                 settings.wait,
                 others,
                 settings.starts,
@@ -202,7 +208,7 @@ class Planner:
             return operated.recalled(found, scenario.now, memory.followed)
 
         def heard(components: Sequence[Component]) -> tuple[Deliberation, Array]:
-            scores, commitment = settings.select(components), settings.commitment
+            scores = settings.select(components)
             deliberation = memory.deliberation.heard(
                 components, scores, scenario.now, commitment, settings.deliberation
             )
@@ -229,7 +235,8 @@ class Planner:
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
         chosen = _chosen(mixture, judge)
         safe = judge.command(chosen.robot, _expected(chosen, judge))
-        label = route_of(chosen.label, memory.followed)
+        known = {way.label for way in memory.routes.ways}
+        label = _taken(chosen.label, safe.tier, memory.followed, known)
         driven = chosen.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
         outcome, reason = self._outcome(memory, before, chosen, safe, label)
         nearest = _progress(memory, scenario)
@@ -419,6 +426,13 @@ def _chosen(mixture: Mixture, judge: Judge) -> Component:
     if best.check.clear or judge.command(best.robot, _expected(best, judge)).tier is Tier.AVOIDING:
         return best
     return next((c for c in mixture.components if c.check.clear), best)
+
+
+def _taken(label: str, tier: Tier, followed: str | None, known: Collection[str]) -> str:
+    """The route that a step takes; who only gets out of the way takes no other one."""
+    if followed is not None and followed in known and tier > Tier.AVOIDING:
+        return followed
+    return route_of(label, followed)
 
 
 def _expected(component: Component, judge: Judge) -> Expected:

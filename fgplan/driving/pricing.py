@@ -3,8 +3,7 @@
 Two beliefs, in seconds. A *blockage*, people who stand where nobody can pass, is expected to last
 as long again as it has lasted, and is remembered when out of sight; going round at the moment when
 that costs less wastes at most the time that the way round takes (the ski-rental argument). A
-*crowd* that comes the other way slows the robot down, by a fundamental diagram fitted to dense
-counter-flow in a corridor.
+*crowd* that comes the other way costs the time to pass each one, the more the narrower the place.
 """
 
 from __future__ import annotations
@@ -37,16 +36,15 @@ class Pricing:
         standing: Slower people stand [m/s].
         least: What a blockage that was just seen is expected to last [s].
         memory: How long a blockage out of sight is remembered [s].
-        jam: People per square metre at which nobody moves against a crowd.
-        bin: Length of route over which people are counted [m].
+        passing: What somebody who comes the other way costs where robot and person just fit beside
+            each other [s]: 1.2 s in a corridor of 2 m, as driven among 4 to 12 people in S1.
         lane: Widest part of a corridor that counts as one way [m].
     """
 
     standing: float = 0.25
     least: float = 1.0
     memory: float = 60.0
-    jam: float = 0.85
-    bin: float = 4.0
+    passing: float = 4.0
     lane: float = 3.0
 
 
@@ -58,11 +56,14 @@ class Blockage:
         place: Where, shape (2,) [m].
         since: When it was first seen [s].
         last: When it was last seen [s].
+        free: Whether the place was seen free since. It costs nothing then, and is remembered as
+            long as it lasted: who only shifts their feet does not begin to stand anew.
     """
 
     place: Array
     since: float
     last: float
+    free: bool = False
 
     def remaining(self, settings: Pricing) -> float:
         """How long it is expected to last from when it was last seen [s]."""
@@ -84,10 +85,12 @@ def update(
     for old in blockages:
         near = [i for i, place in enumerate(seen) if np.hypot(*(place - old.place)) < WINDOW]
         if near:
-            kept.append(replace(old, place=seen[near[0]], last=now))
+            kept.append(replace(old, place=seen[near[0]], last=now, free=False))
             seen = [place for i, place in enumerate(seen) if i not in near]
-        elif now - old.last < settings.memory and not visible(old.place[None])[0]:
-            kept.append(old)
+            continue
+        free = old.free or bool(visible(old.place[None])[0])
+        if now - old.last < (old.remaining(settings) if free else settings.memory):
+            kept.append(replace(old, free=free))
     for place in seen:
         if all(np.hypot(*(place - known.place)) >= WINDOW for known in kept):
             kept.append(Blockage(place, now, now))
@@ -99,6 +102,7 @@ def delay(
 ) -> tuple[float, float]:
     """What blockages cost on a route, beyond the time it takes to reach them [s], and how far
     along it the first one is [m], inf where there is none."""
+    blockages = [blockage for blockage in blockages if not blockage.free]
     if not blockages:
         return 0.0, np.inf
     path = densified(way.path, CELL)
@@ -115,10 +119,11 @@ def delay(
 
 
 def congestion(way: Way, scenario: Scenario, belief: Belief, settings: Pricing) -> float:
-    """What people cost beyond the horizon, L (1/v_eff − 1/v) [s], v_eff = v (1 − (ρ/ρ_jam)²).
+    """What people cost beyond the horizon, Σ passing (d/w)² [s], d the widths of robot and person
+    together and w that of the way there, at least d.
 
-    People count as far as they come towards the robot: who walks the same way, and no slower,
-    costs nothing.
+    It is a sum over people, and so does not depend on how they happen to be spread. They count as
+    far as they come towards the robot: who walks the same way, and no slower, costs nothing.
     """
     grid, robot = scenario.grid, scenario.robot
     if grid is None or not belief.count:
@@ -138,23 +143,17 @@ def congestion(way: Way, scenario: Scenario, belief: Belief, settings: Pricing) 
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     with_us = np.einsum("ij,ij->i", belief.mean[:, 2:], tangent[nearest])
     weight = np.clip(1 - with_us / robot.preferred_speed, 0.0, 2.0) / 2
-    bins = ((s - beyond) / settings.bin).astype(int)
-    cost = 0.0
-    for b in np.unique(bins[nearest[on]]):
-        part = (bins == b) & (s > beyond)
-        length = max(float(np.ptp(s[part])), 1.0)
-        people = float(weight[on & (bins[nearest] == b) & (s[nearest] > beyond)].sum())
-        share = people / (length * 2 * float(half[part].mean())) / settings.jam
-        speed = robot.preferred_speed * max(1 - share**2, 0.1)
-        cost += length * (1 / speed - 1 / robot.preferred_speed)
-    return cost
+    share = np.minimum((robot.radius + belief.radii) / half[nearest], 1.0)
+    return settings.passing * float((weight * share**2)[on].sum())
 
 
 def _blocked(scenario: Scenario, belief: Belief, way: Way, settings: Pricing) -> list[Array]:
     """Places on a route where those who stand leave no way past them."""
     if scenario.grid is None or not belief.count:
         return []
-    standing = np.linalg.norm(belief.mean[:, 2:], axis=1) < settings.standing
+    # Of somebody who was seen once the velocity is not known: that is no standing.
+    known = np.sqrt(belief.covariance[:, 2, 2]) < settings.standing
+    standing = known & (np.linalg.norm(belief.mean[:, 2:], axis=1) < settings.standing)
     people, radii = belief.mean[standing, :2], belief.radii[standing]
     if not len(people):
         return []

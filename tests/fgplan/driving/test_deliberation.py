@@ -60,21 +60,29 @@ def test_noise_about_no_advantage_moves_nothing():
     assert sum(a != b for a, b in pairwise(raw)) > 20
 
 
+def test_the_robot_is_not_committed_to_what_one_sample_said():
+    known = Deliberation().following("A", 2.0)
+    for elapsed in (0.0, 0.1, 0.5, 5.0):
+        expected = COMMITMENT * (1 - np.exp(-elapsed / OVER))
+        assert known.commitment(COMMITMENT, 2.0 + elapsed, OVER) == pytest.approx(expected)
+    assert known.commitment(COMMITMENT, 2.0, 0.0) == COMMITMENT
+
+
 def test_going_there_and_back_leaves_it_as_it_was():
-    known = Deliberation("A", {"B": 1.2, "C": -0.5}, 3.0)
+    known = Deliberation("A", 0.0, {"B": 1.2, "C": -0.5}, 3.0)
     there = known.following("B", 3.0)
     assert there.of == pytest.approx({"A": -1.2, "C": -1.7})
     assert there.following("A", 3.0).of == pytest.approx(known.of)
 
 
 def test_what_may_not_be_driven_is_not_compared():
-    known = Deliberation("A", {"B": 0.4}, 0.0)
+    known = Deliberation("A", 0.0, {"B": 0.4}, 0.0)
     components, scores = plan(A=-np.inf, B=0.0)
     assert known.heard(components, scores, 0.1, COMMITMENT, OVER) == known
     np.testing.assert_array_equal(known.steadied(components, scores, COMMITMENT), scores)
 
 
 def test_routes_that_ended_in_one_optimum_with_the_followed_one_are_that_one():
-    known = Deliberation("A", {"B": 0.4}, 0.0)
+    known = Deliberation("A", 0.0, {"B": 0.4}, 0.0)
     components, scores = plan(A_B=-1.0)
     assert known.steadied(components, scores, COMMITMENT) == pytest.approx([-1.0])

@@ -88,7 +88,7 @@ def test_the_robot_commits_to_the_operators_corridor_and_does_not_turn_back():
 
 def test_the_choice_is_the_closed_form():
     """log w_A − log w_B = −β (J_A − J_B) ± commitment + log p(z | A) − log p(z | B), each datum on
-    the plans that A and B had at its time."""
+    the plans that A and B had at its time; the commitment as far as it has grown."""
     said, plans = [], {"A": {}, "B": {}}
 
     def say(t, position):
@@ -115,7 +115,9 @@ def test_the_choice_is_the_closed_form():
     assert likelihood["A"] != pytest.approx(likelihood["B"], abs=1)
     followed = drive.labels[-2]
     price = -DENSITY.beta * (a.cost - b.cost)
-    price += SETTINGS.commitment * ((followed == "A") - (followed == "B"))
+    since = max(d.time for d in drive.decisions if d.outcome is Outcome.SWITCHING)
+    grown = 1 - np.exp(-(decision.time - since) / SETTINGS.deliberation)
+    price += grown * SETTINGS.commitment * ((followed == "A") - (followed == "B"))
     expected = price + likelihood["A"] - likelihood["B"]
     assert a.log_prior - b.log_prior == pytest.approx(expected, abs=1e-6)
 

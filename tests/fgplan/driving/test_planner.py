@@ -321,3 +321,18 @@ def test_a_route_is_left_for_a_better_one_not_for_a_clear_command(grade, tier, e
         command=lambda plan, people: SimpleNamespace(tier=tier),
     )
     assert module._chosen(mixture, judge).label == expected
+
+
+@pytest.mark.parametrize(
+    ("tier", "known", "expected"),
+    [
+        (Tier.CLEAR, {"A", "B"}, "B"),
+        (Tier.AVOIDING, {"A", "B"}, "B"),
+        (Tier.YIELDING, {"A", "B"}, "A"),
+        (Tier.LATEST_CONTACT, {"A", "B"}, "A"),
+        (Tier.LATEST_CONTACT, {"B"}, "B"),
+    ],
+)
+def test_who_only_gets_out_of_the_way_takes_no_other_route(tier, known, expected):
+    # Seen to fail without it: in S5 the route flipped twice while somebody was dodged.
+    assert module._taken("B, waiting", tier, "A", known) == expected

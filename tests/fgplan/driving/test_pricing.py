@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -88,23 +90,52 @@ def test_the_cost_of_waiting_and_then_going_round_is_bounded():
 
 def test_out_of_sight_it_is_remembered_and_then_forgotten():
     known = looked((), STANDING, 0.0)
-    later = looked(known, belief(), 30.0, nowhere)
-    assert later == known
+    (later,) = looked(known, belief(), 30.0, nowhere)
+    assert (later.since, later.last, later.free) == (0.0, 0.0, False)
     assert looked(known, belief(), 61.0, nowhere) == ()
 
 
 def test_a_free_place_in_sight_is_no_blockage_any_more():
-    known = looked((), STANDING, 0.0)
-    assert looked(known, belief(), 0.5) == ()
+    known = looked(looked((), STANDING, 0.0), belief(), 0.5)
+    assert delay(WAY, known, scenario(0.5), Pricing()) == (0.0, np.inf)
 
 
-def test_a_crowd_beyond_the_horizon_costs_and_more_people_cost_more_than_in_proportion():
-    def cost(n):
-        x = np.linspace(8.0, 12.0, n)
-        return congestion(WAY, scenario(), belief(*([a, 0, -1.0, 0] for a in x)), Pricing())
+def test_who_moves_for_a_moment_does_not_begin_to_stand_anew():
+    known, stepping = (), belief([4.0, 0.0, 0.4, 0.0])
+    for now in np.arange(0.0, 10.1, 0.5):
+        known = looked(known, stepping if now in (4.0, 7.5, 8.0) else STANDING, float(now))
+    (blockage,) = known
+    assert blockage.remaining(Pricing()) == pytest.approx(10.0)
 
-    assert cost(2) > 0
-    assert cost(4) > 2.5 * cost(2)
+
+def test_what_was_free_for_as_long_as_it_was_blocked_is_forgotten():
+    known = ()
+    for now in (0.0, 1.0, 2.0, 3.0):
+        known = looked(known, STANDING, now)
+    assert looked(looked(known, belief(), 4.0), belief(), 6.5) == ()
+
+
+def test_who_was_seen_once_does_not_stand():
+    """Their velocity is not known yet, and its mean is 0."""
+    new = replace(STANDING, covariance=np.tile(np.diag([1e-3, 1e-3, 1.0, 1.0]), (1, 1, 1)))
+    assert looked((), new, 0.0) == ()
+
+
+def test_a_crowd_beyond_the_horizon_costs_the_time_to_pass_each_of_them():
+    """(d/w)² of the time where they just fit, wherever they are."""
+    half = float(AISLE.distance_field.distance(np.array([[9.0, 0.0]]))[0])
+    for n in (1, 2, 4):
+        for x in (np.linspace(8.0, 12.0, n), np.full(n, 9.0)):
+            people = belief(*([a, 0, -1.0, 0] for a in x))
+            cost = congestion(WAY, scenario(), people, Pricing())
+            assert cost == pytest.approx(4.0 * n * (0.55 / half) ** 2, rel=0.01)
+
+
+def test_where_it_is_wider_a_crowd_costs_less():
+    wide = OccupancyGrid.from_polygons([], (-1, -1.25, 20, 1.25), 0.05, border=True)
+    people = belief([9.0, 0.0, -1.0, 0.0])
+    narrow = congestion(WAY, scenario(), people, Pricing())
+    assert 0 < congestion(WAY, scenario(grid=wide), people, Pricing()) < 0.5 * narrow
 
 
 def test_who_is_within_the_horizon_or_walks_along_costs_nothing():
