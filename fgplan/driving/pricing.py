@@ -37,14 +37,14 @@ class Pricing:
         least: What a blockage that was just seen is expected to last [s].
         memory: How long a blockage out of sight is remembered [s].
         passing: What somebody who comes the other way costs where robot and person just fit beside
-            each other [s]: 1.2 s in a corridor of 2 m, as driven among 4 to 12 people in S1.
+            each other [s]: 1.1 s in a corridor of 2 m, as driven among 4 to 12 people in S1.
         lane: Widest part of a corridor that counts as one way [m].
     """
 
     standing: float = 0.25
     least: float = 1.0
     memory: float = 60.0
-    passing: float = 4.0
+    passing: float = 3.5
     lane: float = 3.0
 
 
@@ -133,18 +133,30 @@ def congestion(way: Way, scenario: Scenario, belief: Belief, settings: Pricing) 
     beyond = robot.preferred_speed * scenario.density.horizon
     if s[-1] <= beyond:
         return 0.0
-    half = np.clip(grid.distance_field.distance(path), robot.radius, settings.lane / 2)
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    half = np.maximum(_half_width(grid, path, tangent, settings.lane), robot.radius)
     apart = np.linalg.norm(belief.mean[:, None, :2] - path, axis=-1)
     nearest = apart.argmin(axis=1)
     on = (apart[np.arange(belief.count), nearest] < half[nearest]) & (s[nearest] > beyond)
     if not on.any():
         return 0.0
-    tangent = np.gradient(path, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     with_us = np.einsum("ij,ij->i", belief.mean[:, 2:], tangent[nearest])
     weight = np.clip(1 - with_us / robot.preferred_speed, 0.0, 2.0) / 2
     share = np.minimum((robot.radius + belief.radii) / half[nearest], 1.0)
     return settings.passing * float((weight * share**2)[on].sum())
+
+
+def _half_width(grid: OccupancyGrid, path: Array, tangent: Array, lane: float) -> Array:
+    """Half the width of the passage at each point of a path (N, 2), at most half a lane: the
+    largest clearance on the line across it, shape (N,) [m]. That of the path itself is none, as
+    the shortest way leads along corners."""
+    offset = np.arange(0.0, lane / 2 + CELL / 2, CELL)
+    across = offset[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)[:, None]
+    clearance = grid.clearance(np.stack([path[:, None] + across, path[:, None] - across]), 0.0)
+    free = np.logical_and.accumulate(clearance > 0, axis=-1)
+    widest = np.where(free, clearance, 0.0).max(axis=(0, 2))
+    return np.asarray(np.minimum(widest, lane / 2))
 
 
 def _blocked(scenario: Scenario, belief: Belief, way: Way, settings: Pricing) -> list[Array]:

@@ -128,7 +128,7 @@ def test_a_crowd_beyond_the_horizon_costs_the_time_to_pass_each_of_them():
         for x in (np.linspace(8.0, 12.0, n), np.full(n, 9.0)):
             people = belief(*([a, 0, -1.0, 0] for a in x))
             cost = congestion(WAY, scenario(), people, Pricing())
-            assert cost == pytest.approx(4.0 * n * (0.55 / half) ** 2, rel=0.01)
+            assert cost == pytest.approx(3.5 * n * (0.55 / half) ** 2, rel=0.01)
 
 
 def test_where_it_is_wider_a_crowd_costs_less():
@@ -136,6 +136,14 @@ def test_where_it_is_wider_a_crowd_costs_less():
     people = belief([9.0, 0.0, -1.0, 0.0])
     narrow = congestion(WAY, scenario(), people, Pricing())
     assert 0 < congestion(WAY, scenario(grid=wide), people, Pricing()) < 0.5 * narrow
+
+
+def test_a_way_along_a_wall_is_as_wide_as_the_passage():
+    people = belief([9.0, 0.0, -1.0, 0.0])
+    along_the_wall = Way("A", WAY.path + np.array([0.0, 0.45]))
+    middle, side = (congestion(w, scenario(), people, Pricing()) for w in (WAY, along_the_wall))
+    # Looked at every 0.1 m across: half the width, 0.675 m, is met to 0.05 m.
+    assert side == pytest.approx(middle, rel=2 * 0.05 / 0.675)
 
 
 def test_who_is_within_the_horizon_or_walks_along_costs_nothing():
