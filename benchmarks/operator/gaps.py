@@ -65,11 +65,12 @@ def waver(gap: float, seed: int) -> Doubtful:
     stick = replace(STICK, sigma=SIGMA)
     world = replace(world, operator=Held(hand, period, rng, dropped=0.2, stick=stick))
     driver = Fgplan()(world)
-    commitment, beta = Settings().commitment, world.scenario.density.beta
+    settings, beta = Settings(), world.scenario.density.beta
     said: list[Reading] = []
     plans: dict[str, dict[float, Trajectory]] = {}
     steps: list[tuple[float, float, float, float, int]] = []
     followed: list[str | None] = [None]
+    since = [0.0]
 
     def watch(moment: Moment) -> None:
         decision = moment.command.decision
@@ -80,6 +81,9 @@ def waver(gap: float, seed: int) -> Doubtful:
         heard = admit(moment.observation.operator, now).data  # at most the top speed
         said.extend(r for m in heard for r in m.readings)
         before, followed[0] = followed[0], decision.label
+        grown = 1 - np.exp(-(moment.observation.time - since[0]) / settings.deliberation)
+        if before != decision.label:
+            since[0] = moment.observation.time
         pair = None if decision.mixture is None else _corridors(decision.mixture)
         if pair is None or moment.observation.time < LAST:
             return
@@ -89,7 +93,8 @@ def waver(gap: float, seed: int) -> Doubtful:
         data = _data(said, plans[lower.label]) - _data(said, plans[upper.label])
         price = beta * (lower.cost - upper.cost)
         weight = data - price
-        weight += commitment * ((before == lower.label) - (before == upper.label))
+        kept = (before == lower.label) - (before == upper.label)
+        weight += grown * settings.commitment * kept
         error = abs(weight - (lower.log_prior - upper.log_prior))
         choice = 1 if weight - (lower.energy - upper.energy) < 0 else -1
         steps.append((data, price, error, choice, 1 if decision.label == upper.label else -1))
