@@ -40,7 +40,8 @@ TURNS = 9
 STANDING = 0.01
 """Share of `limit_sigma` that a car may still move with where it changes direction."""
 STIFF = 0.1
-"""Limits that leave no room at rest (reverse, curvature) have this share of `limit_sigma`."""
+"""Limits that leave no room at rest (reverse, curvature) have this share of `limit_sigma`; a car's
+reverse speed the square of it."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,9 @@ class _Wheeled(ABC):
         speed = LinearLimit((v,), np.array([LIMIT_SHARE * top]), sigma, weight)
         yield Piece("speed limit", speed, (0,), 1)
         slowest = np.array([LIMIT_SHARE * self._reverse])
-        yield Piece("reverse limit", LinearLimit((-v,), slowest, STIFF * sigma, weight), (0,), 1)
+        # A car that rolls back by a hair would have its wheels turned there.
+        stiff = STIFF**2 if self._radius > 0 else STIFF
+        yield Piece("reverse limit", LinearLimit((-v,), slowest, stiff * sigma, weight), (0,), 1)
         if np.isfinite(rate):
             turn = LinearLimit((w,), np.full(2, LIMIT_SHARE * rate), sigma, weight)
             yield Piece("turn limit", turn, (0,), 1)
@@ -227,10 +230,9 @@ class _Wheeled(ABC):
         yield bound("yaw acceleration", alpha, self._yaw[1], "rad/s²")
 
     def _cusps(self, v: Array, w: Array) -> Array:
-        """radius·|ω| at the moments between states when the speed changes its sign. A state that
-        stands, within the tolerance, is no such moment: its own wheels have been looked at."""
+        """radius·|ω| at the moments between states when the speed changes its sign."""
         before, after = v[..., :-1], v[..., 1:]
-        crossing = (before * after < 0) & (np.minimum(np.abs(before), np.abs(after)) > CREEP)
+        crossing = before * after < 0
         share = np.where(crossing, before / np.where(crossing, before - after, 1.0), 0.0)
         turn = w[..., :-1] + share * np.diff(w)
         return np.where(crossing, self._radius * np.abs(turn), 0.0)

@@ -23,7 +23,8 @@ def test_optima_hardly_slide_and_what_is_driven_does_not() -> None:
 
 
 @given(st.sampled_from(list(MODELS)), st.sampled_from(["along", "reversed"]), st.integers(0, 9999))
-@example("car that reverses", "along", 47)  # these four changed direction with turned wheels
+@example("car that reverses", "along", 47)  # these five changed direction with turned wheels
+@example("car", "reversed", 26)
 @example("car that reverses", "reversed", 1)
 @example("car that reverses", "reversed", 26)
 @example("car that reverses", "reversed", 42)
