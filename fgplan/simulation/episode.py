@@ -161,9 +161,9 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             watch(Moment(observation, command, people))
         gap, blocked = np.inf, False
         for _ in range(rules.substeps):
-            disc = Disc(body.position, body.velocity, body.radius)
+            disc = Disc(body.position, body.velocity, body.radius, rules.seen_by_people)
             was = Still(people.positions, people.velocities, people.present.copy())
-            people.advance(dt, disc if rules.seen_by_people else None)
+            people.advance(dt, disc)
             body.advance(command, dt, world.grid)
             errand.moved(disc.position, body.position)
             gap = min(gap, rules.gap(disc, was, body, people, dt))

@@ -13,17 +13,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Disc:
-    """The robot as people see it.
+    """The robot among people.
 
     Args:
         position: Shape (2,) [m].
         velocity: Shape (2,) [m/s].
         radius: [m].
+        seen: Whether people see it.
     """
 
     position: Array
     velocity: Array
     radius: float
+    seen: bool = True
 
 
 class People(Protocol):
@@ -44,7 +46,7 @@ class People(Protocol):
     present: NDArray[np.bool_]
 
     def advance(self, dt: float, robot: Disc | None) -> None:
-        """Go on by dt [s]; `robot` as it was at the beginning, None where nobody sees it."""
+        """Go on by dt [s]; `robot` as it was at the beginning, None where there is none."""
         ...
 
 

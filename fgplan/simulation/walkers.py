@@ -39,7 +39,7 @@ class Walker:
         ends: At the last waypoint they "stay", walk all waypoints "back" and forth, or are gone
             and come in "anew" at `entry`, as somebody else.
         entry: Where they come in anew, shape (2,) [m]; None is where they were at the start.
-        begins: They stand until then [s].
+        begins: They stand until then, whoever comes near [s].
     """
 
     position: Array
@@ -105,8 +105,9 @@ class Walkers:
         # 1e-9: a sum of steps must meet the time that was stated.
         going = self.present & (self._time >= self._begins - 1e-9)
         wishes = np.where(going, share, 0.0)[:, None] * direction
-        self.velocities = self._motion(self.positions, self.velocities, wishes, dt, robot)
-        self.velocities[~self.present] = 0.0
+        seen = robot if robot is not None and robot.seen else None
+        self.velocities = self._motion(self.positions, self.velocities, wishes, dt, seen)
+        self.velocities[~going] = 0.0
         self.positions = self.positions + dt * self.velocities
         self._time += dt
         gained = np.einsum("ij,ij->i", self.velocities, direction) / np.maximum(self._speeds, 1e-9)

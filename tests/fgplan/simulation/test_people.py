@@ -53,13 +53,13 @@ def test_people_who_do_not_react_walk_through_each_other() -> None:
 
 @pytest.mark.parametrize("settings", REACT)
 def test_people_avoid_a_robot_that_they_see_and_no_other(settings: Any) -> None:
-    robot = Disc(np.array([4.0, 0.05]), np.zeros(2), 0.25)
     nearest = {}
     for sees in (True, False):
+        robot = Disc(np.array([4.0, 0.05]), np.zeros(2), 0.25, sees)
         people = crowd([Walker(np.zeros(2), np.array([[8.0, 0.0]]))], settings)
         gaps = []
         for _ in range(160):
-            people.advance(0.05, robot if sees else None)
+            people.advance(0.05, robot)
             gaps.append(np.linalg.norm(people.positions[0] - robot.position))
         nearest[sees] = min(gaps)
     assert nearest[True] > 0.53
@@ -88,11 +88,11 @@ def test_who_leaves_comes_in_anew_as_somebody_else() -> None:
         names.add(people.names[0])
         seen.append(bool(people.present[0]))
     assert names == {"p0", "p0.1", "p0.2", "p0.3"}
-    # Nobody comes in where the robot is.
-    near = Disc(np.array([0.5, 0.0]), np.zeros(2), 0.25)
-    for _ in range(40):
-        people.advance(0.1, near)
-    assert not people.present[0]
+    # Nobody comes in where the robot is, whether they see it or not.
+    for sees in (True, False):
+        for _ in range(40):
+            people.advance(0.1, Disc(np.array([0.5, 0.0]), np.zeros(2), 0.25, sees))
+        assert not people.present[0]
 
 
 def test_who_walks_back_and_forth_does() -> None:
@@ -116,6 +116,18 @@ def test_who_waits_begins_when_it_is_time() -> None:
         people.advance(0.1, None)
     assert np.allclose(people.positions, [[1.2, 0.0]])
     assert np.allclose(people.delays, 0)
+
+
+def test_who_waits_gives_no_way_before_it_is_time() -> None:
+    """One who blocks an aisle does so whoever comes: ORCA alone would step aside."""
+    walker = Walker(np.zeros(2), np.array([[9.0, 0.0]]), begins=1.0)
+    people = crowd([walker], Orca())
+    pushing = Disc(np.array([0.6, 0.05]), np.array([-1.0, 0.0]), 0.25)
+    for _ in range(10):
+        people.advance(0.1, pushing)
+    assert np.array_equal(people.positions, np.zeros((1, 2)))
+    people.advance(0.1, pushing)
+    assert not np.array_equal(people.positions, np.zeros((1, 2)))
 
 
 @settings(deadline=None)
