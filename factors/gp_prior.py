@@ -120,7 +120,11 @@ def matern_first(mean: Array, sigma: float, length: float) -> Linear:
 def gaussian(mean: Array, covariance: Array) -> Linear:
     """N(mean, covariance) of one variable; `mean` has shape (d,), or (S, d) where it differs by
     step."""
-    W = whitener(covariance)
+    return whitened(mean, whitener(covariance))
+
+
+def whitened(mean: Array, W: Array) -> Linear:
+    """N(mean, (WᵀW)⁻¹) of one variable, W a `whitener` up to an order of the coordinates."""
     return Linear((W,), np.asarray(mean, dtype=float) @ W.T, log_gaussian_normalizer(W))
 
 

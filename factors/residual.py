@@ -190,10 +190,20 @@ def whitener(covariance: Any, name: str = "covariance") -> Array:
     S = np.atleast_2d(np.asarray(covariance, dtype=float))
     if S.ndim != 2 or S.shape[0] != S.shape[1]:
         raise ValueError(f"{name} must be a square matrix, got shape {S.shape}")
+    return whiteners(S, name)
+
+
+def whiteners(S: Array, name: str = "covariance") -> Array:
+    """The same of many matrices, shape (..., d, d).
+
+    Raises:
+        ValueError: as `whitener`, for all together.
+    """
     if not np.all(np.isfinite(S)):
         raise ValueError(f"{name} holds a number that is not finite: {S.tolist()}")
     size = np.abs(S)
-    if (np.abs(S - S.T) > 1e-9 * size + 1e-12 * size.max()).any():
+    most = size.max(axis=(-1, -2), keepdims=True, initial=0.0)
+    if (np.abs(S - np.swapaxes(S, -1, -2)) > 1e-9 * size + 1e-12 * most).any():
         raise ValueError(f"{name} must be symmetric, got {S.tolist()}")
     try:
         L = np.linalg.cholesky(S)

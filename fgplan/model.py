@@ -19,11 +19,18 @@ from numpy.typing import NDArray
 from factors.contact import Contact
 from factors.coupling import coupling, coupling_to
 from factors.flat import velocity_of_positions
-from factors.gp_prior import GPPrior, gaussian, isotropic_prior, matern_first, matern_prior
+from factors.gp_prior import (
+    GPPrior,
+    gaussian,
+    isotropic_prior,
+    matern_first,
+    matern_prior,
+    whitened,
+)
 from factors.interaction import Interaction
 from factors.obstacle import InterpolatedObstacle, Obstacle
 from factors.pairwise import CrowdPairs, PredictedPairs
-from factors.residual import Residual
+from factors.residual import Residual, whiteners
 from fgplan import keys
 from fgplan.conditioning import LevelData, curved_pieces, on_level, robot_pieces
 from fgplan.crowd import Belief, heading
@@ -300,9 +307,9 @@ def _crowd_prior(belief: Belief, d: Density) -> Iterable[Term]:
     mean = np.concatenate([belief.mean[:, :2].ravel(), belief.mean[:, 2:].ravel()])
     person = np.arange(2 * n).reshape(n, 2)
     index = np.hstack([person, person + 2 * n])
-    covariance = np.zeros((4 * n, 4 * n))
-    covariance[index[:, :, None], index[:, None]] = belief.covariance
-    yield Term("crowd now", gaussian(mean, covariance), (("crowd", 0),), range(1))
+    W = np.zeros((4 * n, 4 * n))
+    W[index[:, :, None], index[:, None]] = whiteners(belief.covariance)
+    yield Term("crowd now", whitened(mean, W), (("crowd", 0),), range(1))
     prior = isotropic_prior(d.dt, belief.Qc, 2 * n)
     yield Term("crowd prior", prior, (("crowd", 0), ("crowd", 1)), range(d.steps))
 

@@ -14,7 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from factors.residual import Array, Expansion, Linear, Residual, log_gaussian_normalizer, whitener
+from factors.residual import (
+    Array,
+    Expansion,
+    Linear,
+    Residual,
+    log_gaussian_normalizer,
+    whitener,
+    whiteners,
+)
 from tests.factor_testing import check_derivatives
 
 
@@ -182,6 +190,15 @@ def test_whitener_is_the_inverse_square_root(seed: int, size: int) -> None:
     assert np.array_equal(W, np.tril(W))
     expected = -0.5 * np.linalg.slogdet(2 * np.pi * S)[1]
     assert log_gaussian_normalizer(W) == pytest.approx(expected, rel=1e-9)
+
+
+def test_whiteners_of_many_are_those_of_each() -> None:
+    roots = np.random.default_rng(3).normal(size=(5, 4, 4))
+    each = roots @ np.swapaxes(roots, -1, -2) + 0.1 * np.eye(4)
+    assert_allclose(whiteners(each), np.stack([whitener(S) for S in each]), rtol=1e-12)
+    each[3, 2, 2] = -1.0
+    with pytest.raises(ValueError, match="of people must be positive definite"):
+        whiteners(each, "covariance of people")
 
 
 @pytest.mark.parametrize(
