@@ -98,7 +98,7 @@ class SecondOrder:
     """
 
     max_iterations: int = 100
-    tolerance: float = 1e-5
+    tolerance: float = 1e-7
     saddle: float = 1e-7
     meeting: float = 0.05
     patience: float = 2.0
