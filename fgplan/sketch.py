@@ -55,7 +55,7 @@ def sketched(
     starts = [(i, start) for i, h in enumerate(hypotheses) for start in h.starts]
     which = np.array([i for i, _ in starts])
     initial = np.stack([held.models[i].initial(start) for i, start in starts])
-    rough = SecondOrder(ROUNDS, ROUGH, ROUGH, margin=MARGIN)
+    rough = SecondOrder(max_iterations=ROUNDS, tolerance=ROUGH, margin=MARGIN)
     solutions = rough.solve(held, initial, which, until)
     ends: list[list[Sketch]] = []
     for i in range(len(hypotheses)):

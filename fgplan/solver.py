@@ -87,8 +87,6 @@ class SecondOrder:
         max_iterations: Linear systems a start may solve.
         tolerance: Stop when a Newton step promises less than this [nats]; that step is still
             taken, after which the next one would promise about its square.
-        saddle: The same where the Hessian is not positive definite, where steps shrink slowly and
-            may grow again [nats].
         meeting: Two starts of a hypothesis this close in every coordinate [m, m/s] and in energy
             [nats] go to one optimum: the worse one is not followed further. 0 follows all.
         patience: A start that this many times what its Newton step promises would still leave
@@ -99,7 +97,6 @@ class SecondOrder:
 
     max_iterations: int = 100
     tolerance: float = 1e-7
-    saddle: float = 1e-7
     meeting: float = 0.05
     patience: float = 2.0
     margin: float = 3.0
@@ -139,7 +136,7 @@ class SecondOrder:
             way = _directions(assembly, X[active], which[active], stuck[active])
             iterations[active] += 1
             decrement[active], energy[active] = way.promised, way.expansion.energy
-            done = way.promised < np.where(way.minimum, self.tolerance, self.saddle)
+            done = way.promised < self.tolerance
             if done.any():
                 for b, curved in zip(
                     active[done].tolist(), way.minimum[done].tolist(), strict=True

@@ -55,6 +55,6 @@ class Settings:
     guard: Guard = field(default_factory=Guard)
     intake: Intake = field(default_factory=Intake)
     starts: Starts = starts
-    solver: Solver = SecondOrder(30, 1e-3, 1e-3, margin=0.0)  # noqa: RUF009
+    solver: Solver = SecondOrder(max_iterations=30, tolerance=1e-3, margin=0.0)  # noqa: RUF009
     select: selection.Rule = selection.height
     inference: Inference = field(default_factory=MAP)
