@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.robots import Holonomic, RobotModel
+from fgplan.holonomic import Holonomic
+from fgplan.robots import RobotModel
 
 if TYPE_CHECKING:
     from fgplan.measuring import Measurement

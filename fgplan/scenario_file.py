@@ -22,9 +22,10 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from fgplan.errors import MapError, Mistake, ScenarioError
+from fgplan.holonomic import Holonomic
 from fgplan.measuring import Reading, Readings
 from fgplan.occupancy import OccupancyGrid
-from fgplan.robots import Holonomic, RobotModel
+from fgplan.robots import RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.tables import Flag, Number, Point, Table, Text, Whole
 from fgplan.task_file import MissionTable, RegionTable, TacticTable, understood

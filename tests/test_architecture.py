@@ -18,7 +18,7 @@ RANKS = [
     {"errors", "tables"},
     {"trajectory", "keys", "block_tridiagonal", "shear"},
     {"hypothesis", "timing", "map_file", "regions", "robots"},
-    {"wheeled"},
+    {"holonomic", "wheeled"},
     {"occupancy"},
     {"roadmap"},
     {"smoothing"},

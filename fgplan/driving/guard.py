@@ -130,6 +130,7 @@ class Judge:
     settings: Guard = Guard()
     lag: float = 0.5
     _judged: dict[Trajectory, _Own] = field(default_factory=dict, repr=False)
+    _commanded: dict[Trajectory, Guarded] = field(default_factory=dict, repr=False)
 
     def check(self, scenario: Scenario, robot: Trajectory, people: People) -> Check:
         """The hard check of a plan; its grade is the tier of its command: a `Checker`."""
@@ -143,11 +144,15 @@ class Judge:
             plan: What is wanted.
             planned: Where people are in that plan.
         """
-        own = self._own(plan, planned)
-        if own.tier < Tier.AVOIDING:
-            contact = float(own.found.contact[0])
-            return self._guarded(own.states[0], self._looks[0], own.tier, contact)
-        return self._escape(own)
+        if plan not in self._commanded:
+            own = self._own(plan, planned)
+            if own.tier < Tier.AVOIDING:
+                contact = float(own.found.contact[0])
+                found = self._guarded(own.states[0], self._looks[0], own.tier, contact)
+            else:
+                found = self._escape(own)
+            self._commanded[plan] = found
+        return self._commanded[plan]
 
     def _escape(self, own: _Own) -> Guarded:
         """Another command than the plan's: the nearest clear one, else the least bad one."""
@@ -257,6 +262,14 @@ class Judge:
     def _room_to_stop(self, states: Array) -> Array:
         """The room of M commands, shape (M,): of the stop after one period; −inf where a wall is
         in its way."""
+        begun = states[:, : self._looks[1] + 1]
+        _, first, alike = np.unique(
+            begun.reshape(len(begun), -1), axis=0, return_index=True, return_inverse=True
+        )
+        return self._room_after(begun[first])[alike.ravel()]  # most differ only later
+
+    def _room_after(self, states: Array) -> Array:
+        """The room of the stop after each of M ways to drive one period (M, steps + 1, dim)."""
         robot, (times, steps) = self.scenario.robot, self._looks
         # A state ends with the velocity, or with (v, ω): its length is the speed or more.
         speed = float(np.linalg.norm(states[:, steps, -2:], axis=-1).max())
@@ -314,8 +327,8 @@ def _gaps(scenario: Scenario, path: Array, times: Array, people: People) -> Arra
     if not people.states.shape[1]:
         return np.full((*path.shape[:2], 0), np.inf)
     where, _ = hermite(people.times, people.states[..., :2], people.states[..., 2:], times)
-    apart = np.linalg.norm(path[:, :, None] - where[None], axis=-1)
-    return np.asarray(apart - (scenario.robot.radius + people.radii))
+    dx, dy = (path[:, :, None, i] - where[None, ..., i] for i in (0, 1))
+    return np.asarray(np.sqrt(dx * dx + dy * dy) - (scenario.robot.radius + people.radii))
 
 
 def _walls(scenario: Scenario, path: Array) -> Array:

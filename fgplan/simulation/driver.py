@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fgplan.driving import Observation, Planner, Settings
-from fgplan.robots import Holonomic
+from fgplan.holonomic import Holonomic
 from fgplan.simulation.policy import Command
 from fgplan.simulation.world import World
 

@@ -225,3 +225,22 @@ def test_without_lag_the_speed_is_there_at_once():
         robot, robot.state, np.full((1, 1, 2), 0.5), np.array([0.0, 0.2]), lag=0.0
     )
     np.testing.assert_allclose(states[0, 1], [0.1, 0.1, 0.5, 0.5])
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)), min_size=1, max_size=4),
+    st.lists(st.integers(1, 4), min_size=4, max_size=4),
+    st.sampled_from([0.0, 0.3, 0.5]),
+    st.sampled_from([1.0, 20.0]),
+)
+def test_what_is_driven_at_once_is_what_is_driven_step_by_step(turns, lasting, lag, acceleration):
+    wishes = np.repeat(turns, lasting[: len(turns)], axis=0)[None]
+    times = 0.1 * np.arange(wishes.shape[1] + 1)
+    robot = Robot(np.zeros(2), np.array([0.4, 0.0]), max_acceleration=acceleration)
+    drive = Holonomic().driven
+    state, one_by_one = robot.state, [robot.state]
+    for k in range(wishes.shape[1]):
+        state = drive(robot, state, wishes[:, k : k + 1], times[k : k + 2], lag)[0, 1]
+        one_by_one.append(state)
+    at_once = drive(robot, robot.state, wishes, times, lag)[0]
+    np.testing.assert_allclose(at_once, one_by_one, rtol=0, atol=1e-12)
