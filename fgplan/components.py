@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,8 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Solving:
-    """What the optima of one hypothesis are read with."""
+    """What the optima of one hypothesis are read with; after `until`, on the clock of
+    `time.perf_counter`, only the best one is checked [s]."""
 
     scenario: Scenario
     belief: Belief
@@ -50,6 +52,7 @@ class Solving:
     seed: int = 0
     progress: Progress | None = None
     checker: Checker = check
+    until: float = np.inf
     checks: dict[Solution, Check] = field(default_factory=dict)
     robots: dict[Solution, Trajectory] = field(default_factory=dict)
 
@@ -166,8 +169,10 @@ def _distinct(optima: list[Found]) -> list[Found]:
 def _followed(solving: Solving, optima: list[Found]) -> tuple[Found, Check, float]:
     """The optimum to follow, its check, and the energy of the best one: of those that pass the
     hard check, by grade, then energy; of all, by energy, where none passes it and is clear."""
-    checked = []
+    checked: list[tuple[Found, Check]] = []
     for optimum in optima:
+        if checked and perf_counter() >= solving.until:
+            break
         checked.append((optimum, solving.check(optimum.solution)))
         if checked[-1][1].fine:
             break

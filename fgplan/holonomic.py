@@ -13,7 +13,7 @@ from factors.gp_prior import isotropic_prior, transition
 from factors.kinematics import AccelerationLimit, SpeedLimit
 from factors.residual import Residual
 from fgplan.robots import LIMIT_SHARE, PACES, Bound, Piece, Twist
-from fgplan.trajectory import Trajectory
+from fgplan.trajectory import Trajectory, length
 
 if TYPE_CHECKING:
     from fgplan.scenario import Density, Robot
@@ -121,7 +121,7 @@ class Holonomic:
                 states[:, k + 1 :, :2] = states[:, k, None, :2] + moved
                 states[:, k + 1 :, 2:] = wishes[:, k:]
                 break
-            wish = shortened(wishes[:, k], np.maximum(robot.max_speed, _length(v)))
+            wish = shortened(wishes[:, k], np.maximum(robot.max_speed, length(v)))
             change = shortened(wish - v, robot.max_acceleration * dt)
             states[:, k + 1, :2] = states[:, k, :2] + dt * (v + (1 - lag) * change)
             states[:, k + 1, 2:] = v + change
@@ -146,9 +146,9 @@ class Holonomic:
             change, waiting = np.zeros_like(v), np.arange(count)
             for _ in range(64):
                 u, angle = rng.random((2, len(waiting)))
-                length = np.sqrt(-2 * q * dt * np.log1p(-u * largest))
+                radius = np.sqrt(-2 * q * dt * np.log1p(-u * largest))
                 angle = 2 * np.pi * angle
-                tried = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+                tried = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
                 fine = np.linalg.norm(v[waiting] + tried, axis=1) <= limit[waiting]
                 change[waiting[fine]] = tried[fine]
                 waiting = waiting[~fine]
@@ -169,20 +169,15 @@ class Holonomic:
 def _granted(robot: Robot, before: Array, wishes: Array, steps: Array) -> NDArray[np.bool_]:
     """From which step on everybody (M, S − 1, 2) gets what they wish for, shape (S − 1,), if they
     had what they wished for before it."""
-    change = np.linalg.norm(wishes - before, axis=-1)
-    limit = np.maximum(robot.max_speed, np.linalg.norm(before, axis=-1))
-    fits = (change <= robot.max_acceleration * steps) & (np.linalg.norm(wishes, axis=-1) <= limit)
-    return np.logical_and.accumulate(fits.all(axis=0)[::-1])[::-1]
+    change, limit = length(wishes - before), np.maximum(robot.max_speed, length(before))
+    fits = (change <= robot.max_acceleration * steps) & (length(wishes) <= limit)
+    all_fit: NDArray[np.bool_] = np.all(fits, axis=0)
+    return np.logical_and.accumulate(all_fit[::-1])[::-1]
 
 
 def shortened(vectors: Array, longest: Array | float) -> Array:
     """Vectors (M, 2), none longer than a length, or than (M,)."""
-    length = _length(vectors)
-    if (length <= longest).all():
+    long = length(vectors)
+    if (long <= longest).all():
         return vectors
-    return np.asarray(vectors * (np.minimum(length, longest) / np.maximum(length, 1e-300))[:, None])
-
-
-def _length(vectors: Array) -> Array:
-    """Of vectors (M, 2), shape (M,)."""
-    return np.asarray(np.sqrt(np.einsum("mi,mi->m", vectors, vectors)))
+    return np.asarray(vectors * (np.minimum(long, longest) / np.maximum(long, 1e-300))[:, None])

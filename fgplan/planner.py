@@ -113,7 +113,10 @@ def plan(
     before = shifted(warm, scenario, belief) if warm is not None else ()
     end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
-    solving = [Solving(scenario, belief, assembly, i, checker=check) for i in range(len(proposed))]
+    solving = [
+        Solving(scenario, belief, assembly, i, checker=check, until=end)
+        for i in range(len(proposed))
+    ]
     searched = search(
         assembly,
         proposed,

@@ -93,6 +93,13 @@ def search(
     indices, limited = range(len(hypotheses)), bool(np.isfinite(until))
     found: list[Found] = []
     dropped: set[int] = set()
+
+    def served(i: int) -> bool:
+        """Whether a start of a hypothesis ended where it may be followed, or it is too late."""
+        ended = (f for f in found if f.solution.stop not in (Stop.GIVEN_UP, Stop.MERGED))
+        own = (f.solution for f in ended if f.which == i)
+        return any(usable(i, solution) or perf_counter() >= until for solution in own)
+
     late: set[int] = set()
     for turn, queue in enumerate(_turns(assembly, hypotheses, warm, until, held)):
         starts = [start for i in indices if i not in dropped for start in queue[i]]
@@ -105,8 +112,8 @@ def search(
             best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in found)
             dropped = {i for i in indices if hypotheses[i].log_prior - _bound(assembly, i) < best}
     while perf_counter() < until:
-        again = _needed(found, usable)
-        again += [] if held is None else _untried(assembly, hypotheses, found, usable, dropped)
+        again = _needed(found, served)
+        again += [] if held is None else _untried(assembly, hypotheses, found, served, dropped)
         if not again:
             break
         found = _joined(found, _solve(assembly, solver, again, until))
@@ -286,18 +293,18 @@ def _resumed(found: Found) -> _Begin:
     return _Begin(found.which, found.rank, found.label, found.solution.state)
 
 
-def _needed(found: Sequence[Found], usable: Callable[[int, Solution], bool]) -> list[_Begin]:
+def _needed(found: Sequence[Found], served: Callable[[int], bool]) -> list[_Begin]:
     """Starts that were given up, of the hypotheses in which nothing else is of use."""
     given_up = [f for f in found if f.solution.stop is Stop.GIVEN_UP]
-    served = {i for i in {f.which for f in given_up} if _is_served(i, found, usable)}
-    return [_resumed(f) for f in given_up if f.which not in served]
+    wanting = {i for i in {f.which for f in given_up} if not served(i)}
+    return [_resumed(f) for f in given_up if f.which in wanting]
 
 
 def _untried(
     assembly: Assembly,
     hypotheses: Sequence[Hypothesis],
     found: Sequence[Found],
-    usable: Callable[[int, Solution], bool],
+    served: Callable[[int], bool],
     dropped: set[int],
 ) -> list[_Begin]:
     """Starts that were only sketched, of the hypotheses in which nothing else is of use."""
@@ -305,16 +312,10 @@ def _untried(
     return [
         start
         for i, hypothesis in enumerate(hypotheses)
-        if i not in dropped and not _is_served(i, found, usable)
+        if i not in dropped and not served(i)
         for start in _own(assembly, i, hypothesis, 1 + len(hypothesis.starts))
         if (i, start.rank) not in tried
     ]
-
-
-def _is_served(i: int, found: Sequence[Found], usable: Callable[[int, Solution], bool]) -> bool:
-    """Whether a start of a hypothesis ended where it may be followed."""
-    ended = (f for f in found if f.solution.stop not in (Stop.GIVEN_UP, Stop.MERGED))
-    return any(f.which == i and usable(i, f.solution) for f in ended)
 
 
 def _score(assembly: Assembly, found: Found) -> float:

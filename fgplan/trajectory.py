@@ -92,6 +92,11 @@ class Trajectory:
         return Trajectory(t, position, velocity, *turned)
 
 
+def length(vectors: Array) -> Array:
+    """Of vectors (..., 2), shape (...); several times as fast as numpy's norm."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
+
+
 def hermite(times: Array, positions: Array, velocities: Array, at: Any) -> tuple[Array, Array]:
     """Positions and velocities of cubic Hermite curves through states at `times`.
 

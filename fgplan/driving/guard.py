@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fgplan.crowd import Belief, heading
 from fgplan.safety import Check, People, check
 from fgplan.scenario import Scenario
-from fgplan.trajectory import Trajectory, hermite
+from fgplan.trajectory import Trajectory, hermite, length
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -159,13 +159,14 @@ class Judge:
         whole, steps = self._looks
         times = whole[: max(steps, round(self.settings.escape / whole[1])) + 1]
         robot, model = self.scenario.robot, self.scenario.robot.model
-        predicted = People(times, self.belief.predict(times)[0], self.belief.radii)
         wishes = _wishes(model.commands(robot, self._now), times, self.settings)
         fan = model.driven(robot, self._now, wishes, times, self.lag)
         states = np.concatenate([own.states[:, : len(times)], fan])
-        found = self._look(states, times, predicted)
+        among = self._among(states, times)
+        predicted = People(times, among.belief.expected(times), among.belief.radii)
+        found = among._look(states, times, predicted)
         # By where they lead: a first velocity is soon nearer to none than to a detour's.
-        apart = np.linalg.norm(states[..., :2] - states[0, :, :2], axis=-1).mean(axis=1)
+        apart = length(states[..., :2] - states[0, :, :2]).mean(axis=1)
         clear = np.isinf(found.contact)
         stoppable = clear & (found.room >= self.settings.sigmas)
         if stoppable.any():
@@ -175,7 +176,7 @@ class Judge:
         tier, rest = self._left(found, clear)
         if tier is Tier.AVOIDING:
             gap = _gaps(self.scenario, states[rest, :, :2], times, predicted)
-            room = np.minimum(found.room[rest], self._room(gap, states[rest, :, :2], times))
+            room = np.minimum(found.room[rest], among._room(gap, states[rest, :, :2], times))
             order = np.lexsort((apart[rest], -np.round(room, 1)))
         else:
             late = np.round(found.contact[rest], 1)
@@ -202,6 +203,18 @@ class Judge:
             if among.any():
                 return tier, np.flatnonzero(among)
         return Tier.LATEST_CONTACT, np.arange(len(clear))
+
+    def _among(self, states: Array, times: Array) -> Judge:
+        """The same among those people alone whom M trajectories (M, S, dim), or stops on their
+        way, can come near enough to that it matters."""
+        robot, asked = self.scenario.robot, self.settings
+        fastest = float(length(states[..., -2:]).max())
+        stopped = self.period + fastest / robot.max_acceleration + 2 * times[1]
+        until = np.arange(0.0, max(times[-1], stopped) + times[1], times[1])
+        away = np.linalg.norm(self.belief.expected(until)[..., :2] - robot.position, axis=-1)
+        gap = away - fastest * until[:, None] - (robot.radius + self.belief.radii)
+        near = (gap < max(asked.margin, asked.most)).any(axis=0)
+        return replace(self, belief=self.belief.select(np.flatnonzero(near)))
 
     @cached_property
     def _now(self) -> Array:
@@ -272,14 +285,14 @@ class Judge:
         """The room of the stop after each of M ways to drive one period (M, steps + 1, dim)."""
         robot, (times, steps) = self.scenario.robot, self._looks
         # A state ends with the velocity, or with (v, ω): its length is the speed or more.
-        speed = float(np.linalg.norm(states[:, steps, -2:], axis=-1).max())
+        speed = float(length(states[:, steps, -2:]).max())
         braking = speed / robot.max_acceleration
         braked = times[: min(len(times), 2 + int(np.ceil(braking / times[1])))]
         still = np.zeros((len(states), len(braked) - 1, 2))
         stop = robot.model.driven(robot, states[:, steps], still, braked, 0.5)
         path = np.concatenate([states[:, : steps + 1, :2], stop[:, 1:, :2]], axis=1)
         when = np.append(times[: steps + 1], times[steps] + braked[1:])
-        people = People(when, self.belief.predict(when)[0], self.belief.radii)
+        people = People(when, self.belief.expected(when), self.belief.radii)
         wall = _walls(self.scenario, path)
         shut = (wall < np.minimum(wall[:, :1], 0.0) - 1e-6) & _moving(path)
         room = self._room(_gaps(self.scenario, path, when, people), path, when)
@@ -318,7 +331,7 @@ def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
 
 def _moving(path: Array) -> Mask:
     """When robots move on paths (M, S, 2), shape (M, S)."""
-    moved = np.linalg.norm(np.diff(path, axis=1), axis=-1) > 1e-4
+    moved = length(np.diff(path, axis=1)) > 1e-4
     return np.concatenate([moved[:, :1], moved], axis=1)
 
 
@@ -327,8 +340,8 @@ def _gaps(scenario: Scenario, path: Array, times: Array, people: People) -> Arra
     if not people.states.shape[1]:
         return np.full((*path.shape[:2], 0), np.inf)
     where, _ = hermite(people.times, people.states[..., :2], people.states[..., 2:], times)
-    dx, dy = (path[:, :, None, i] - where[None, ..., i] for i in (0, 1))
-    return np.asarray(np.sqrt(dx * dx + dy * dy) - (scenario.robot.radius + people.radii))
+    apart = length(path[:, :, None] - where[None])
+    return np.asarray(apart - (scenario.robot.radius + people.radii))
 
 
 def _walls(scenario: Scenario, path: Array) -> Array:

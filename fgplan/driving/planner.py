@@ -42,6 +42,10 @@ Source = Callable[[Scenario, Belief], Sequence[Hypothesis]]
 
 FIXED = 1e-6
 """Variance of a position that is known [m²]."""
+LAST_WORD = 0.15
+"""Share of a deadline that is kept for the guard."""
+LEAST = 0.2
+"""Share of a deadline that a plan has, however long all before it took."""
 STANDS = 0.05
 """A robot that is to move less than this in the next second waits [m]."""
 
@@ -217,7 +221,8 @@ class Planner:
         judge = self._judge(scenario, belief)
         left = None
         if settings.deadline is not None:
-            left = max(settings.deadline - (perf_counter() - began), 0.2 * settings.deadline)
+            left = (1 - LAST_WORD) * settings.deadline - (perf_counter() - began)
+            left = max(left, LEAST * settings.deadline)
         try:
             mixture = plan(
                 scenario,

@@ -21,7 +21,7 @@ class Settings:
 
     Args:
         period: Between two steps [s]: a command is given for this long.
-        deadline: Time a plan may take [s]; None lets it end.
+        deadline: Time a step may take [s]; None lets its plan end.
         commitment: Prior cost of leaving the hypothesis that is followed: a factor
             exp(−commitment) on every other one [nats].
         deliberation: Time over which the advantage of another route is averaged before it is

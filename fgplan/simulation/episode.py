@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +119,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     goal = np.full(2, np.nan) if stated is None else np.asarray(stated, dtype=float)
     errand = Errand(world.scenario)
     events = sorted(world.events, key=lambda event: event.time)
-    log = _Log(body, people)
+    log = _Log(body, people, int(np.ceil(rules.time_limit / rules.period)))
     dt = rules.period / rules.substeps
     start, step, end, error = world.scenario.now, 0, End.TIMEOUT, ""
     inside = [False for _ in world.via]
@@ -190,63 +189,68 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     return log.episode(world, end, goal, reference, delays, tuple(entries), error, errand)
 
 
-class _Step(NamedTuple):
-    """What is kept of a step: a decision holds all hypotheses, and an hour of them gigabytes."""
-
-    outcome: Outcome
-    label: str | None
-    unsafe: bool
-    seconds: float
-    gap: float
-    blocked: bool
-
-
 class _Log:
-    """Collects the steps of a run."""
+    """Collects the steps of a run. Its memory is there from the start, so that a long run is seen
+    to need no more of it; of a decision next to nothing is kept: an hour of them is gigabytes.
 
-    def __init__(self, body: Body, people: People) -> None:
+    Args:
+        body, people: At the start.
+        most: Steps.
+    """
+
+    def __init__(self, body: Body, people: People, most: int) -> None:
         self.radii = np.concatenate([[body.radius], people.radii])
-        self.states: list[Array] = []
-        self.headings: list[float] = []
-        self.people: list[Array] = []
-        self.steps: list[_Step] = []
+        self.made = self.unsafe = 0
+        self.robot = np.full((most + 1, 4), np.nan)
+        self.headings = np.full(most + 1, np.nan)
+        self.people = np.full((most + 1, *people.positions.shape), np.nan)
+        self.seconds, self.gaps = np.full((2, most), np.nan)
+        self.blocked = np.zeros(most, dtype=bool)
+        self.outcomes: list[Outcome] = []
+        self.labels: list[str | None] = []
         self._state(body, people)
 
     def _state(self, body: Body, people: People) -> None:
-        self.states.append(np.concatenate([body.position, body.velocity]))
-        self.headings.append(body.heading)
-        self.people.append(np.where(people.present[:, None], people.positions, np.nan))
+        k = self.made
+        self.robot[k, :2], self.robot[k, 2:] = body.position, body.velocity
+        self.headings[k] = body.heading
+        self.people[k, people.present] = people.positions[people.present]
 
     def add(
         self, body: Body, people: People, command: Command, took: float, gap: float, blocked: bool
     ) -> None:
+        k = self.made
+        self.seconds[k], self.gaps[k], self.blocked[k] = took, gap, blocked
+        self.outcomes.append(command.outcome)
+        self.labels.append(command.label)
+        self.unsafe += command.decision is not None and not command.decision.action.safe
+        self.made += 1
         self._state(body, people)
-        unsafe = command.decision is not None and not command.decision.action.safe
-        self.steps.append(_Step(command.outcome, command.label, unsafe, took, gap, blocked))
 
     def episode(
         self, world: World, end: End, goal: Array, reference: float, delays: Array,
         entries: tuple[int, ...], error: str, errand: Errand,
     ) -> Episode:  # fmt: skip
+        steps, states = slice(self.made), slice(self.made + 1)
         return Episode(
             name=world.name,
             end=end,
-            times=np.arange(len(self.states)) * np.float64(world.rules.period),
-            robot=np.array(self.states),
-            headings=np.array(self.headings),
-            people=np.array(self.people),
+            times=np.arange(self.made + 1) * np.float64(world.rules.period),
+            robot=self.robot[states],
+            headings=self.headings[states],
+            people=self.people[states],
             radii=self.radii,
-            gaps=np.array([s.gap for s in self.steps]),
-            blocked=np.array([s.blocked for s in self.steps], dtype=bool),
-            outcomes=tuple(s.outcome for s in self.steps),
-            labels=tuple(s.label for s in self.steps),
-            seconds=np.array([s.seconds for s in self.steps]),
+            gaps=self.gaps[steps],
+            blocked=self.blocked[steps],
+            outcomes=tuple(self.outcomes),
+            labels=tuple(self.labels),
+            seconds=self.seconds[steps],
             goal=goal,
             reference=reference,
             delays=np.array(delays),
             discomfort=world.rules.discomfort,
             entries=entries,
-            unsafe=sum(s.unsafe for s in self.steps),
+            unsafe=self.unsafe,
             error=error,
             mission=errand.state,
             word=errand.word,
