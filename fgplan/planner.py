@@ -26,7 +26,7 @@ from fgplan.obeying import obeying
 from fgplan.products import crossed
 from fgplan.safety import Checker, People, brake, check
 from fgplan.scenario import Scenario
-from fgplan.search import search, shifted, worth_solving
+from fgplan.search import Search, search, shifted, worth_solving
 from fgplan.shared_control import operated
 from fgplan.solver import SecondOrder, Solver
 from fgplan.tactical import of_people
@@ -128,23 +128,13 @@ def plan(
     )
     solved = perf_counter()
 
-    total = sum(f.solution.iterations for f in searched.found) or 1
-    components = []
-    for i, hypothesis in enumerate(proposed):
-        own = [f for f in searched.found if f.which == i and np.isfinite(f.solution.energy)]
-        if own:
-            seconds = (solved - modelled) * sum(f.solution.iterations for f in own) / total
-            finished = i not in searched.unfinished | searched.dropped
-            # What is left of the reserve must do for the check and the action.
-            weigh = inference if perf_counter() < end - 0.5 * RESERVE * (deadline or 0.0) else MAP()
-            own_solving = replace(
-                solving[i], finished=finished, inference=weigh, seed=seed, progress=progress
-            )
-            components.append(component_of(own_solving, hypothesis, own, seconds))
+    # What is left of the reserve must do for the check and the action.
+    until = end - 0.5 * RESERVE * (deadline or 0.0)
+    weighing = [replace(own, inference=inference, seed=seed, progress=progress) for own in solving]
+    components = _components(weighing, proposed, searched, solved - modelled, until)
     if not components:
         labels = [h.label for h in proposed]
         raise NoPlan(f"none of {labels} has a finite posterior", searched.found)
-    merged = merge(components)
     weighed = perf_counter()
     timing = {
         "hypotheses": ready - began,
@@ -153,13 +143,42 @@ def plan(
         "evidence": weighed - solved,
         "total": weighed - began,
     }
-    mixture = _decide(scenario, belief, merged, select, timing)
+    mixture = _decide(scenario, belief, components, select, timing)
     notes = [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
     notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
     if every > len(proposed):
         bound = f"their bounds are over {NEGLIGIBLE:g} nats below the best"
         notes.append(f"{every - len(proposed)} of {every} combinations left out: {bound}")
     return replace(mixture, warnings=(*sorted(notes), *mixture.warnings))
+
+
+def _components(
+    solving: Sequence[Solving],
+    hypotheses: Sequence[Hypothesis],
+    searched: Search,
+    seconds: float,
+    until: float,
+) -> list[Component]:
+    """The hypotheses that have a finite posterior, those with one optimum as one.
+
+    Args:
+        solving: One per hypothesis.
+        hypotheses: The same ones.
+        searched: What was solved.
+        seconds: That took [s].
+        until: Evidence that is not begun by then is left out, on `time.perf_counter` [s].
+    """
+    total = sum(f.solution.iterations for f in searched.found) or 1
+    incomplete = searched.unfinished | searched.dropped
+    components = []
+    for i, hypothesis in enumerate(hypotheses):
+        own = [f for f in searched.found if f.which == i and np.isfinite(f.solution.energy)]
+        if own:
+            share = seconds * sum(f.solution.iterations for f in own) / total
+            weigh = solving[i].inference if perf_counter() < until else MAP()
+            reading = replace(solving[i], finished=i not in incomplete, inference=weigh)
+            components.append(component_of(reading, hypothesis, own, share))
+    return merge(components)
 
 
 def _held(

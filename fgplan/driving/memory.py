@@ -50,3 +50,12 @@ class Memory:
     operated: Operated = field(default_factory=Operated)
     jumped: bool = False
     nearest: tuple[float, float] = (np.inf, -np.inf)
+
+    def progress(self) -> tuple[float, float]:
+        """`nearest`, from where the robot is now."""
+        scenario = self.scenario
+        if (scenario.goal is None and scenario.mission is None) or not self.routes.ways:
+            return np.inf, scenario.now
+        length = min(way.to_go for way in self.routes.ways)
+        best, when = self.nearest
+        return (length, scenario.now) if length < best - 0.1 else (best, when)

@@ -23,6 +23,7 @@ from fgplan import (
 )
 from fgplan.driving import Detection, Observation, Outcome, Planner, Settings
 from fgplan.driving import planner as module
+from fgplan.driving.choice import chosen, taken
 from fgplan.driving.guard import Tier
 from fgplan.safety import Check
 from fgplan.trajectory import Trajectory
@@ -320,7 +321,7 @@ def test_a_route_is_left_for_a_better_one_not_for_a_clear_command(grade, tier, e
         belief=SimpleNamespace(radii=np.zeros(0)),
         command=lambda plan, people: SimpleNamespace(tier=tier),
     )
-    assert module._chosen(mixture, judge).label == expected
+    assert chosen(mixture, judge).label == expected
 
 
 @pytest.mark.parametrize(
@@ -335,4 +336,4 @@ def test_a_route_is_left_for_a_better_one_not_for_a_clear_command(grade, tier, e
 )
 def test_who_only_gets_out_of_the_way_takes_no_other_route(tier, known, expected):
     # Seen to fail without it: in S5 the route flipped twice while somebody was dodged.
-    assert module._taken("B, waiting", tier, "A", known) == expected
+    assert taken("B, waiting", tier, "A", known) == expected
