@@ -120,13 +120,15 @@ def waiting_law(
     initial_speed: float,
     delay: float,
     end_speed: float = 0.0,
+    place: float = 0.0,
 ) -> SpeedLaw:
-    """Brake to a stop, stand until `delay`, then go as `speed_law` does.
+    """Come to a stop, stand until `delay`, then go as `speed_law` does.
 
-    A delay of 0 still brakes to a stop first; `speed_law` is the law without waiting.
+    A delay of 0 still comes to a stop first; `speed_law` is the law without waiting.
 
     Args:
-        delay: When to start again [s]; later where braking takes longer.
+        delay: When to start again [s]; later where it takes longer to come to a stop.
+        place: Where to stand [m]; further where braking takes longer, and at most at the end.
 
     Raises:
         ValueError: a number is not finite or out of its range.
@@ -134,11 +136,11 @@ def waiting_law(
     _check(length, speed, acceleration, initial_speed, 0.0)
     if not (np.isfinite(delay) and delay >= 0):
         raise ValueError(f"delay must be finite and not negative, got {delay}")
-    stop = min(initial_speed**2 / (2 * acceleration), length)
-    brake = speed_law(stop, speed, acceleration, initial_speed)
-    stand = SpeedLaw(0.0, ((max(delay - brake.duration, 0.0), 0.0),))
+    stop = min(max(place, initial_speed**2 / (2 * acceleration)), length)
+    come = speed_law(stop, speed, acceleration, initial_speed)
+    stand = SpeedLaw(0.0, ((max(delay - come.duration, 0.0), 0.0),))
     go = speed_law(length - stop, speed, acceleration, end_speed=end_speed)
-    return brake.then(stand).then(go)
+    return come.then(stand).then(go)
 
 
 def travel_time(

@@ -17,6 +17,8 @@ from fgplan.scenario import Scenario
 from fgplan.starts import Starts, starts
 from fgplan.timing import along, speed_along, timed, waiting_law
 
+APART = 1.0
+"""From the edge of a robot that waits to those who block the way [m]."""
 WAITING = ", waiting"
 """Ends the label of a hypothesis that waits."""
 
@@ -130,15 +132,17 @@ def _pushing_on(
 
 
 def _waiting(scenario: Scenario, way: Way, cost: Price, score: float, pause: float) -> Hypothesis:
-    """The same route with a later start."""
+    """The same route, with a stop before those who block it."""
     robot = scenario.robot
+    place = max(cost.blocked_at - robot.radius - APART, 0.0)
     law = waiting_law(
         way.length,
         robot.preferred_speed,
         robot.max_acceleration,
         speed_along(way.path, robot.velocity),
-        pause,
+        place / robot.preferred_speed + pause,
         scenario.goal_speed,
+        place,
     )
     plan = along(way.path, scenario.density.times, law)
     label = way.label + WAITING

@@ -110,10 +110,19 @@ def test_speed_is_the_rate_of_arc_length(L, v, a, v0):
     np.testing.assert_allclose(np.diff(s), np.diff(t) * 0.5 * (v[1:] + v[:-1]), atol=1e-7)
 
 
-@given(lengths, speeds, accelerations, st.floats(0, 1), st.floats(0.0, 10.0))
+def test_waiting_at_a_place_comes_to_it_first():
+    law = waiting_law(10.0, 1.0, 1.0, 1.0, 9.0, place=6.0)
+    s, v = law.at([5.0, 6.5, 9.0, 99.0])
+    np.testing.assert_allclose(s, [5.0, 6.0, 6.0, 10.0], atol=1e-12)
+    np.testing.assert_allclose(v, [1.0, 0.0, 0.0, 0.0], atol=1e-12)
+    beyond = waiting_law(2.0, 1.0, 1.0, 1.0, 9.0, place=6.0)
+    np.testing.assert_allclose(beyond.at(8.0)[0], 2.0)
+
+
+@given(lengths, speeds, accelerations, st.floats(0, 1), st.floats(0.0, 10.0), st.floats(0.0, 30.0))
 @settings(max_examples=100, deadline=None)
-def test_waiting_never_arrives_earlier(L, v, a, v0, delay):
-    law = waiting_law(L, v, a, v0 * v, delay)
+def test_waiting_never_arrives_earlier(L, v, a, v0, delay, place):
+    law = waiting_law(L, v, a, v0 * v, delay, place=place)
     assert law.duration >= travel_time(L, v, a, v0 * v) - 1e-9
     assert law.duration >= delay - 1e-9
     assert law.length == pytest.approx(L, abs=1e-7)
