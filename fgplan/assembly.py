@@ -8,6 +8,7 @@ steps in one call a term, and its curvature is kept in small blocks until a syst
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
@@ -27,16 +28,21 @@ Index = NDArray[np.intp]
 Expand = Callable[[Residual, list[Array]], Expansion]
 
 
+_BY_ROW = ("linear_gradient", "linear_energy", "energy", "gradient", "states", "_which")
+"""What a `Quadratic` holds one of for each expansion, beside its parts."""
+
+
 class Quadratic:
     """Expansion of B energies at states (B, S, D).
 
     Attributes:
+        states: Where, shape (B, S, D).
         energy: Shape (B,).
         gradient: Shape (B, S, D).
     """
 
     def __init__(self, assembly: Assembly, X: Array, which: Index, expand: Expand) -> None:
-        self._assembly, self._X, self._which = assembly, X, which
+        self._assembly, self.states, self._which = assembly, X, which
         d = X - assembly.reference[which]
         curve = assembly.times(d, which)
         self.linear_gradient = assembly.gradient[which] + curve
@@ -46,7 +52,8 @@ class Quadratic:
         self._parts: list[tuple[Wired, Array]] = []
         self._far: list[tuple[Index, Array]] = []
         for wired in assembly.nonlinear:
-            part = expand(wired.residual, wired.variables(X))
+            with np.errstate(over="ignore", invalid="ignore"):  # as in `Assembly.energy`
+                part = expand(wired.residual, wired.variables(X))
             self.energy += np.add.reduce(part.energy, axis=-1)
             wired.add_gradient(part.gradient, self.gradient)
             wired.hold(part.hessian)
@@ -56,6 +63,25 @@ class Quadratic:
                 self._far.append((wired.far, part.hessian[:, 0]))
         for k, held in assembly.held:
             self.gradient[:, k, held] = 0.0
+
+    def take(self, rows: Index) -> Quadratic:
+        """The expansions in some rows."""
+        some = copy(self)
+        for laid_out in ("diagonal", "upper"):
+            some.__dict__.pop(laid_out, None)
+        for name in _BY_ROW:
+            setattr(some, name, getattr(self, name)[rows])
+        some._parts = [(wired, part[rows]) for wired, part in self._parts]
+        some._far = [(places, part[rows]) for places, part in self._far]
+        return some
+
+    def put(self, rows: Index, other: Quadratic) -> None:
+        """Other expansions in place of those in some rows."""
+        for name in _BY_ROW:
+            getattr(self, name)[rows] = getattr(other, name)
+        for mine, theirs in ((self._parts, other._parts), (self._far, other._far)):
+            for (_, part), (_, new) in zip(mine, theirs, strict=True):
+                part[rows] = new
 
     def hessian(self, rows: Index) -> tuple[Array, Array]:
         """Blocks (k, k), shape (R, S, D, D), and (k, k + 1), shape (R, S − 1, D, D), of some of
@@ -90,7 +116,7 @@ class Quadratic:
             elif part.shape[-1] == 2:
                 parts.append((wired, _clamped(part[rows])))
             else:
-                flat = wired.residual.gauss_newton(*wired.variables(self._X[rows])).hessian
+                flat = wired.residual.gauss_newton(*wired.variables(self.states[rows])).hessian
                 wired.hold(flat)
                 parts.append((wired, flat))
         return self._solve(self._which[rows], self.gradient[rows], parts, rows)

@@ -112,12 +112,14 @@ class SecondOrder:
         stop = [Stop.ITERATIONS] * B
         iterations = np.zeros(B, dtype=int)
         decrement = np.full(B, np.inf)
-        energy = assembly.energy(X, which)
+        q = assembly.expand(X, which)
+        energy = q.energy.copy()
         last, stuck = np.zeros_like(X), np.zeros(B, dtype=bool)
         active = np.flatnonzero(np.isfinite(energy))
         if len(active) < B:
             for b in np.flatnonzero(~np.isfinite(energy)).tolist():
                 stop[b] = Stop.NOT_FINITE
+            q = q.take(active)
         rivals = len(set(which.tolist())) < B  # else there is nobody to compare with
         began, busy = perf_counter(), 0
         for _ in range(self.max_iterations):
@@ -133,9 +135,9 @@ class SecondOrder:
                     stop[b] = Stop.DEADLINE
                 break
             began = now
-            way = _directions(assembly, X[active], which[active], stuck[active])
+            way = _directions(q, stuck[active])
             iterations[active] += 1
-            decrement[active], energy[active] = way.promised, way.expansion.energy
+            decrement[active], energy[active] = way.promised, q.energy
             done = way.promised < self.tolerance
             if done.any():
                 for b, curved in zip(
@@ -152,11 +154,10 @@ class SecondOrder:
             going = np.flatnonzero(~ended)
             if not len(going):
                 break
-            length, reached = _line_search(assembly, X[active], way, which[active], going)
+            length, ahead = _line_search(assembly, X[active], way, which[active], going)
             rows, moved = active[going], length > 0
             on = rows[moved]
-            X[on] = assembly.moved(X[on], length[moved, None, None] * way.step[going[moved]])
-            energy[rows], stuck[rows] = reached, False
+            X[rows], energy[rows], stuck[rows] = ahead.states, ahead.energy, False
             if not moved.all():
                 still, at = rows[~moved], going[~moved]
                 for b, i in zip(still.tolist(), at.tolist(), strict=True):
@@ -169,6 +170,7 @@ class SecondOrder:
                 stuck[again] = True
                 on = np.sort(np.concatenate([on, again]))
             active = self._apart(X, energy, which, on, stop) if rivals else on
+            q = ahead if len(active) == len(rows) else ahead.take(np.searchsorted(rows, active))
         end = assembly.moved(X, last)
         after = assembly.energy(end, which)
         worse = after > energy + ROUNDING * np.abs(energy)
@@ -246,7 +248,7 @@ class GtsamLM:
         # LM returns the initial guess, without raising, when the error is NaN.
         if not np.all(np.isfinite(end)):
             return Solution(state, np.inf, optimizer.iterations(), Stop.NOT_FINITE, np.inf)
-        way = _directions(assembly, end[None], np.array([i]))
+        way = _directions(assembly.expand(end[None], np.array([i])))
         promised, minimum = float(way.promised[0]), bool(way.minimum[0])
         if optimizer.iterations() >= self.max_iterations:
             stop = Stop.ITERATIONS
@@ -283,12 +285,9 @@ class _Directions:
     expansion: Quadratic
 
 
-def _directions(
-    assembly: Assembly, X: Array, which: Index, stuck: NDArray[np.bool_] | None = None
-) -> _Directions:
+def _directions(q: Quadratic, stuck: NDArray[np.bool_] | None = None) -> _Directions:
     """Newton's steps; Gauss–Newton's where the true Hessian is not positive definite, and for
     those that are stuck."""
-    q = assembly.expand(X, which)
     step, minimum = q.newton()
     newton = minimum if stuck is None else minimum & ~stuck
     found = newton.copy()
@@ -314,14 +313,17 @@ CURVED = 1.5
 
 def _line_search(
     assembly: Assembly, X: Array, way: _Directions, which: Index, rows: Index
-) -> tuple[Array, Array]:
-    """Length of the step for some rows (R,), 0 where none lowers the energy, and that energy.
+) -> tuple[Array, Quadratic]:
+    """Length of the step for some rows (R,), 0 where none lowers the energy, and the expansions
+    at its end.
 
-    The full step when it is good; else the best of a few lengths; else of a few short ones.
+    The full step when it is good, which is nearly always, so that is where the next expansion is
+    made; else the best of a few lengths; else of a few short ones.
     """
     before, promised = way.expansion.energy[rows], np.maximum(way.promised[rows], 0.0)
+    ahead = assembly.expand(assembly.moved(X[rows], way.step[rows]), which[rows])
     energies = assembly.along(way.expansion, X, way.step, which)
-    length, reached = np.ones(len(rows)), _finite(energies(np.ones((1, len(rows))), rows))[0]
+    length, reached = np.ones(len(rows)), _finite(ahead.energy)
 
     def search(some: Index, lengths: tuple[float, ...]) -> None:
         s = np.array(lengths)
@@ -342,8 +344,12 @@ def _line_search(
         long = np.flatnonzero(way_down & ~way.newton[rows] & (length == 1.0))
         if len(long):
             search(long, LONG_LENGTHS)
-    descends = reached < before
-    return np.where(descends, length, 0.0), np.where(descends, reached, before)
+    length[reached >= before] = 0.0
+    other = np.flatnonzero(length != 1.0)
+    if len(other):
+        at, step = rows[other], length[other, None, None] * way.step[rows[other]]
+        ahead.put(other, assembly.expand(assembly.moved(X[at], step), which[at]))
+    return length, ahead
 
 
 def _finite(energy: Array) -> Array:
