@@ -3,14 +3,15 @@ that each scenario is about. Every planner drives the same seeds.
 
 A scenario has a measure of its own; a run that does not arrive counts with the time limit. The
 hindsight oracle of S1 and S5 is fgplan told which corridor to take, the better of the two seed by
-seed.
+seed. S5 is also one scenario: who does not know how long the aisle is blocked is judged by what
+they lose to the oracle over all its durations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,11 @@ SHORT = (Case("s7_doorway_0.8", "success", ("fgplan-one-hypothesis",)),)
 MORE_IS_BETTER = ("success",)
 
 
+def spoilt(case: Case, share: float) -> Case:
+    """The case with a share of its observations spoilt."""
+    return replace(case, changes=(*case.changes, ("world.faults", str(share))))
+
+
 def drive(
     cases: Sequence[Case],
     seeds: range,
@@ -134,11 +140,8 @@ def lines(case: Case, driven: dict[tuple[str, str], list[Row]]) -> Iterable[Row]
     more of the measure than fgplan on the same seeds."""
     own = {name: rows for (scenario, name), rows in driven.items() if scenario == case.name}
     limit = case.setup(0).rules.time_limit
-    told = [rows for name, rows in own.items() if name.startswith("told ")]
-    if told:
-        own["oracle"] = [
-            min(runs, key=lambda r: value(r, "time", limit)) for runs in zip(*told, strict=True)
-        ]
+    if oracle := _oracle(own, limit):
+        own["oracle"] = oracle
     ours = own.get("fgplan", [])
     for name, rows in own.items():
         numbers = [value(r, case.measure, limit) for r in rows]
@@ -166,6 +169,38 @@ def lines(case: Case, driven: dict[tuple[str, str], list[Row]]) -> Iterable[Row]
             "unsafe": sum(r["unsafe"] for r in rows),
             "step_ms_p50": _mean(r["step_ms_p50"] for r in rows),
         }
+
+
+def regrets(cases: Sequence[Case], driven: dict[tuple[str, str], list[Row]]) -> Iterable[Row]:
+    """Yields a row a planner and file of which several cases have an oracle: the time lost to it
+    [s], the mean over the cases, seed by seed."""
+    files = {case.file: [c for c in cases if c.file == case.file] for case in cases}
+    for file, alike in files.items():
+        lost: dict[str, list[list[float]]] = {}
+        for case in alike:
+            own = {name: rows for (scenario, name), rows in driven.items() if scenario == case.name}
+            limit = case.setup(0).rules.time_limit
+            best = [value(r, "time", limit) for r in _oracle(own, limit)]
+            for name, rows in own.items() if best else ():
+                times = [value(r, "time", limit) for r in rows]
+                lost.setdefault(name, []).append([t - b for t, b in zip(times, best, strict=True)])
+        for name, runs in lost.items() if len(alike) > 1 else ():
+            numbers = np.mean(runs, axis=0).tolist()
+            yield {
+                "scenario": f"{file}, all {len(runs)}",
+                "planner": name,
+                "episodes": len(numbers),
+                "measure": "regret",
+                "value": float(np.mean(numbers)),
+                "value_ci": list(metrics.bootstrap(numbers)),
+            }
+
+
+def _oracle(own: dict[str, list[Row]], limit: float) -> list[Row]:
+    """The best run of each seed of those that were told the way; empty where nobody was."""
+    told = [rows for name, rows in own.items() if name.startswith("told ")]
+    runs = zip(*told, strict=True)
+    return [min(run, key=lambda r: value(r, "time", limit)) for run in runs]
 
 
 def value(row: Row, name: str, limit: float) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
-from benchmarks.suite import SHORT, SUITE, beats, drive, lines  # noqa: E402
+from benchmarks.suite import SHORT, SUITE, beats, drive, lines, regrets, spoilt  # noqa: E402
 from fgplan.simulation.batch import local  # noqa: E402
 from fgplan.terminal import progress  # noqa: E402
 
@@ -25,6 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=20, help="how many (default: %(default)s)")
     parser.add_argument("--only", action="append", help="cases whose name begins so; again")
     parser.add_argument("--planner", action="append", help="who drives (default: all); again")
+    parser.add_argument("--faults", type=float, metavar="SHARE", help="of observations spoilt")
     parser.add_argument("--store", type=Path, help="finished runs, as `fgplan simulate` keeps them")
     parser.add_argument("--workers", type=int, default=1, help="runs side by side")
     parser.add_argument("--short", action="store_true", help="one doorway, two seeds")
@@ -33,13 +34,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cases, seeds = (SHORT, range(2)) if options.short else (SUITE, range(options.seeds))
     if options.only:
         cases = tuple(c for c in cases if any(c.name.startswith(o) for o in options.only))
+    if options.faults is not None:
+        cases = tuple(spoilt(case, options.faults) for case in cases)
     with local(options.workers) as executor, progress() as tell:
         driven = drive(cases, seeds, options.planner, executor, options.store, tell)
     rows = [line for case in cases for line in lines(case, driven)]
+    regret = list(regrets(cases, driven))
     if options.json == "-":
-        sys.stdout.write(json.dumps(rows, allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(rows + regret, allow_nan=False) + "\n")
         return
     print("\n".join(table(rows)))
+    for row in regret:
+        between = _between(row["value_ci"])
+        print(f"{row['scenario']}: {row['planner']} loses {row['value']:.2f} s {between}")
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from benchmarks.hour.__main__ import main as hour
-from benchmarks.suite import SUITE, Case, beats, lines
+from benchmarks.suite import SUITE, Case, beats, lines, regrets, spoilt
 from benchmarks.suite.__main__ import main as suite
 from fgplan.simulation.planners import PLANNERS
 
@@ -38,6 +38,32 @@ def test_the_oracle_takes_the_better_corridor_of_each_seed():
     assert found["told A"]["value"] == pytest.approx((25.0 + 60.0) / 2)
     assert beats(found["oracle"], found["fgplan"])
     assert not beats(found["fgplan"], found["oracle"])
+
+
+def test_regret_is_what_is_lost_to_the_oracle_over_all_cases_of_a_file():
+    first = Case("s5_aisle", "time", corridors=(("A", "[]"), ("B", "[]")))
+    second = Case(
+        "s5_aisle", "time", changes=(("world.time_limit", "40.0"),), corridors=first.corridors
+    )
+    driven = {
+        (first.name, "fgplan"): [_row(20.0), _row(21.0)],
+        (first.name, "told A"): [_row(18.0), _row(19.0)],
+        (first.name, "told B"): [_row(30.0), _row(17.0)],
+        (second.name, "fgplan"): [_row(36.0), _row(None)],
+        (second.name, "told A"): [_row(None), _row(None)],
+        (second.name, "told B"): [_row(30.0), _row(31.0)],
+    }
+    found = {row["planner"]: row for row in regrets((first, second), driven)}
+    assert found["fgplan"]["value"] == pytest.approx((2 + 6 + 4 + 9) / 4)
+    assert found["told B"]["value"] == pytest.approx((12 + 0 + 0 + 0) / 4)
+    assert list(regrets((first,), driven)) == []
+
+
+def test_a_spoilt_case_differs_in_what_is_seen():
+    case = next(case for case in SUITE if case.file == "s10_discs")
+    changed = spoilt(case, 0.05)
+    assert changed.setup(0).tamper is not None
+    assert changed.name != case.name
 
 
 def test_the_short_hour_finds_nothing_wrong(capsys):
