@@ -7,7 +7,7 @@ from typing import Any, Literal
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import special
@@ -102,6 +102,7 @@ def test_regression_equals_dense_linear_algebra(
     times = np.sort(rng.uniform(0, 5, steps)) + 0.1 * np.arange(steps)
     kernel = matern(times, 0.8, length, nu) + linear_kernel(times, 0.5, 1.0, center=2.0)
     K = np.kron(kernel, np.array([[1.0, 0.3], [0.3, 0.7]]))
+    assume(np.linalg.cond(K) < 1e8)  # its inverse, the prior's precision, has digits to lose
     mean = rng.normal(size=(steps, 2))
     seen = [k for k in range(steps) if k % 2 == 0]
     z = rng.normal(size=(len(seen), 2))
