@@ -79,7 +79,7 @@ SUITE = (
     Case("s2_trap_unseen", "success", ("fgplan-one-hypothesis",)),
     Case("s3_twins", "switches", ("fgplan-no-commitment",)),
     Case("s4_counterflow", "stopped_fraction", ("fgplan-predicted", "fgplan-no-contact")),
-    Case("s4_counterflow_heedless", "stopped_fraction", ("fgplan-predicted", "fgplan-no-contact")),
+    Case("s4_counterflow_heedless", "stopped_fraction", ("fgplan-no-way-out", "fgplan-no-contact")),
     Case("s5_aisle", "time", ("fgplan-no-wait",), corridors=ROUND_S5),
     *(
         Case(

@@ -154,6 +154,15 @@ class Judge:
             self._commanded[plan] = found
         return self._commanded[plan]
 
+    def clear(self, way: Trajectory) -> Guarded | None:
+        """A way among people as they are predicted, if all of it is clear as it would be driven."""
+        times = self._looks[0]
+        people = People(times, self.belief.expected(times), self.belief.radii)
+        states = self._followed(way)
+        if np.isfinite(self._look(states, times, people).contact[0]):
+            return None
+        return self._guarded(states[0], times, Tier.AVOIDING)
+
     def _escape(self, own: _Own) -> Guarded:
         """Another command than the plan's: the nearest clear one, else the least bad one."""
         whole, steps = self._looks

@@ -200,7 +200,7 @@ class Planner:
             memory = replace(memory, mixture=None)
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
         followed = chosen(mixture, judge)
-        safe = judge.command(followed.robot, expected(followed, judge))
+        safe = self._safe(followed, judge)
         known = {way.label for way in memory.routes.ways}
         label = taken(followed.label, safe.tier, memory.followed, known)
         driven = followed.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
@@ -230,6 +230,17 @@ class Planner:
             nearest=memory.progress(),
         )
         return decision, memory
+
+    def _safe(self, followed: Component, judge: Judge) -> Guarded:
+        """What is done of a component: what the guard says, or a way out where nothing is clear."""
+        safe, search = (
+            judge.command(followed.robot, expected(followed, judge)),
+            self.settings.way_out,
+        )
+        if search is None or (followed.feasible and safe.tier <= Tier.AVOIDING):
+            return safe
+        way = search.search(judge.scenario, judge.belief, followed.robot)
+        return safe if way is None else judge.clear(way) or safe
 
     def _propose(self, memory: Memory, belief: Belief) -> tuple[tuple[Hypothesis, ...], Memory]:
         """The hypotheses of this step, and what is remembered of the operator for them."""

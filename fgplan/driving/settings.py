@@ -10,6 +10,7 @@ from fgplan.driving.intake import Intake
 from fgplan.driving.pricing import Pricing
 from fgplan.driving.routing import Routing
 from fgplan.driving.tracking import Tracking
+from fgplan.driving.way_out import WayOut
 from fgplan.inference import MAP, Inference
 from fgplan.solver import SecondOrder, Solver
 from fgplan.starts import Starts, starts
@@ -34,6 +35,7 @@ class Settings:
         stall: A robot that has not come nearer to its goal for this long makes no progress [s].
         lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
         routing, tracking, pricing, guard, intake: See there.
+        way_out: What is looked for where no plan is clear; None leaves it to the guard alone.
         starts: Where the optimiser starts from on a route; see `fgplan.starts`.
         solver: Of each plan; there will be another one in a moment, so a thousandth of a nat is
             near enough.
@@ -54,6 +56,7 @@ class Settings:
     pricing: Pricing = field(default_factory=Pricing)
     guard: Guard = field(default_factory=Guard)
     intake: Intake = field(default_factory=Intake)
+    way_out: WayOut | None = field(default_factory=WayOut)
     starts: Starts = starts
     solver: Solver = SecondOrder(max_iterations=30, tolerance=1e-3, margin=0.0)  # noqa: RUF009
     select: selection.Rule = selection.height

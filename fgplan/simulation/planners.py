@@ -34,6 +34,7 @@ PLANNERS: dict[str, Maker] = {
     "fgplan-joint": Fgplan(crowd="joint"),
     "fgplan-no-commitment": Fgplan(settings=replace(WHOLE, commitment=0.0)),
     "fgplan-no-wait": Fgplan(settings=replace(WHOLE, wait=0.0)),
+    "fgplan-no-way-out": Fgplan(settings=replace(WHOLE, way_out=None)),
     "fgplan-blending": BlendingPlanner(),
     "fgplan-switching": TwistMuxPlanner(),
     "layered": Layered,

@@ -1,0 +1,153 @@
+"""A way out touches nobody, is driven within the limits, and is found where there is one."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fgplan import OccupancyGrid, Robot, Scenario
+from fgplan.crowd import Belief
+from fgplan.driving import Detection, Observation, Planner, Settings
+from fgplan.driving.guard import Judge, Tier
+from fgplan.driving.way_out import WayOut
+from fgplan.safety import People, check
+from fgplan.trajectory import Trajectory
+
+
+def people(*rows):
+    mean = np.array(rows, dtype=float).reshape(-1, 4)
+    n = len(mean)
+    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-4, 1e-4]), (n, 1, 1))
+    return Belief(tuple(f"p{i}" for i in range(n)), mean, covariance, np.full(n, 0.3), 0.03)
+
+
+def moving(speed=1.0, **changes):
+    return Scenario(Robot(np.zeros(2), np.array([speed, 0.0]), heading=0.0), **changes)
+
+
+def onward(scenario):
+    """On at the speed of now."""
+    times = scenario.density.times
+    return Trajectory(
+        times,
+        times[:, None] * scenario.robot.velocity,
+        np.tile(scenario.robot.velocity, (len(times), 1)),
+    )
+
+
+def expected(belief, times):
+    return People(times, belief.expected(times), belief.radii)
+
+
+def corridor(width):
+    """Along the x axis."""
+    low, high = -width / 2, width / 2
+    walls = [
+        [(-3, low - 0.3), (9, low - 0.3), (9, low), (-3, low)],
+        [(-3, high), (9, high), (9, high + 0.3), (-3, high + 0.3)],
+    ]
+    return OccupancyGrid.from_polygons(walls, bounds=(-3, -3, 9, 3), resolution=0.05)
+
+
+def test_where_nobody_is_the_way_is_what_is_wanted():
+    scenario = moving(0.9)
+    found = WayOut().search(scenario, people(), onward(scenario))
+    np.testing.assert_allclose(
+        found.states, onward(scenario).resampled(found.times).states, atol=1e-9
+    )
+
+
+def test_who_is_met_is_passed_with_the_margin():
+    scenario, crowd = moving(), people([4.0, 0.1, -1.3, 0.0])
+    found = WayOut().search(scenario, crowd, onward(scenario))
+    result = check(scenario, found, expected(crowd, scenario.density.times))
+    assert result.feasible
+    assert result.min_separation > 0.25 + 0.3 + 0.1
+    # To make way costs less than to stay behind.
+    assert found.positions[-1, 0] > 3.0
+
+
+def test_a_way_through_people_who_leave_one_late_gap_is_found():
+    """Two abreast in a corridor, and a gap at one wall behind them: only who waits gets through."""
+    scenario = moving(0.5, grid=corridor(2.4))
+    crowd = people([2.5, 0.8, -0.4, 0.0], [2.5, -0.2, -0.4, 0.0], [4.5, -0.8, -0.4, 0.0])
+    found = WayOut().search(scenario, crowd, onward(scenario))
+    assert found is not None
+    assert check(scenario, found, expected(crowd, scenario.density.times)).feasible
+    judge = Judge(scenario, crowd, 0.1)
+    assert judge.clear(found).tier is Tier.AVOIDING
+
+
+def test_where_every_way_ends_there_is_none():
+    """Four abreast fill the corridor, faster than the robot can run from them."""
+    scenario = moving(0.0, grid=corridor(2.4))
+    crowd = people(*([1.2, y, -1.5, 0.0] for y in (-0.9, -0.3, 0.3, 0.9)))
+    assert WayOut().search(scenario, crowd, onward(scenario)) is None
+
+
+def test_the_first_margin_with_which_there_is_a_way_is_taken():
+    scenario, crowd = moving(), people([4.0, 0.1, -1.3, 0.0])
+    whole = WayOut(margins=(0.15,)).search(scenario, crowd, onward(scenario))
+    for margins in ((5.0, 0.15), (0.15, 5.0)):
+        found = WayOut(margins=margins).search(scenario, crowd, onward(scenario))
+        np.testing.assert_array_equal(found.states, whole.states)
+
+
+def test_who_is_too_near_already_is_left():
+    scenario, crowd = moving(0.0), people([0.5, 0.0, 0.0, 0.0])
+    found = WayOut().search(scenario, crowd, onward(scenario))
+    gap = np.linalg.norm(found.positions - [0.5, 0.0], axis=1)
+    assert np.all(np.diff(gap) > -1e-6)
+    assert gap[-1] >= 0.55
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_what_is_found_is_within_the_limits_and_clear(seed):
+    rng = np.random.default_rng(seed)
+    scenario = moving(rng.uniform(0, 1), grid=corridor(rng.uniform(1.5, 4.0)))
+    n = rng.integers(1, 8)
+    rows = np.column_stack(
+        [
+            rng.uniform(1, 7, n),
+            rng.uniform(-1, 1, n),
+            rng.normal(-1, 0.4, n),
+            0.2 * rng.normal(size=n),
+        ]
+    )
+    crowd = people(*rows)
+    found = WayOut().search(scenario, crowd, onward(scenario))
+    if found is None:
+        return
+    assert scenario.robot.model.problems(scenario.robot, found) == []
+    looks = np.linspace(0, found.times[-1], 4 * (len(found.times) - 1) + 1)
+    gap = (
+        np.linalg.norm(crowd.expected(looks)[..., :2] - found.at(looks)[:, None, :2], axis=-1)
+        - 0.55
+    )
+    assert np.all(gap >= np.minimum(0.0, gap[0]) - 1e-3)
+
+
+def test_a_planner_takes_it_where_no_plan_is_clear():
+    """Four walk at the robot in a corridor."""
+    scenario = moving(
+        1.0, grid=corridor(2.4), goal=np.array([8.0, 0.0]), crowd="predicted", count=1
+    )
+    places = (3.6, 0.2), (3.2, -0.8), (2.1, 0.6), (2.9, 0.6)
+    toward = np.array([-1.3, 0.0])
+    seen = tuple(
+        Detection(np.array(place), str(i), velocity=toward) for i, place in enumerate(places)
+    )
+
+    def first(way_out):
+        planner = Planner(scenario, Settings(deadline=None, way_out=way_out))
+        return planner.step(Observation(0.0, np.zeros(2), np.array([1.0, 0.0]), detections=seen))
+
+    with_it, without = first(WayOut()), first(None)
+    assert not with_it.mixture.components[0].feasible
+    assert with_it.action.safe
+    assert with_it.trajectory.times[-1] > 4.0 > without.trajectory.times[-1]
+    crowd = people(*([*place, *toward] for place in places))
+    others = expected(crowd, scenario.density.times)
+    assert check(scenario, with_it.trajectory, others).first_contact == np.inf
