@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from fgplan import scenario_file
 from fgplan.errors import Mistake, ScenarioError
+from fgplan.holonomic import Holonomic
 from fgplan.occupancy import OccupancyGrid
-from fgplan.robots import Holonomic, RobotModel
+from fgplan.robots import RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.validation import validate
 from fgplan.wheeled import CarLike, DifferentialDrive
