@@ -30,6 +30,7 @@ class Memory:
         mixture: The last plan, for a warm start.
         trajectory: What is being driven, None before the first observation.
         started: When that began [s].
+        clear: Whether the last plan could be driven as it was.
         followed: Name of the hypothesis that is followed.
         deliberation: How much better others have looked of late.
         operated: What the operator said.
@@ -45,6 +46,7 @@ class Memory:
     mixture: Mixture | None = None
     trajectory: Trajectory | None = None
     started: float = 0.0
+    clear: bool = True
     followed: str | None = None
     deliberation: Deliberation = Deliberation()  # noqa: RUF009 - frozen
     operated: Operated = field(default_factory=Operated)

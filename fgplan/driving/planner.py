@@ -44,6 +44,8 @@ Source = Callable[[Scenario, Belief], Sequence[Hypothesis]]
 
 LAST_WORD = 0.15
 """Share of a deadline that is kept for the guard."""
+WAY_OUT = 0.25
+"""Share of a deadline that is kept for a way out after a step whose plan was not clear."""
 LEAST = 0.2
 """Share of a deadline that a plan has, however long all before it took."""
 
@@ -182,7 +184,8 @@ class Planner:
         judge = self._judge(scenario, belief)
         left = None
         if settings.deadline is not None:
-            left = (1 - LAST_WORD) * settings.deadline - (perf_counter() - began)
+            kept = LAST_WORD if memory.clear else LAST_WORD + WAY_OUT
+            left = (1 - kept) * settings.deadline - (perf_counter() - began)
             left = max(left, LEAST * settings.deadline)
         try:
             mixture = plan(
@@ -200,7 +203,7 @@ class Planner:
             memory = replace(memory, mixture=None)
             return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
         followed = chosen(mixture, judge)
-        safe = self._safe(followed, judge)
+        safe = self._safe(followed, judge, memory, began)
         known = {way.label for way in memory.routes.ways}
         label = taken(followed.label, safe.tier, memory.followed, known)
         driven = followed.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
@@ -225,22 +228,28 @@ class Planner:
             mixture=mixture,
             trajectory=driven,
             started=scenario.now,
+            clear=followed.check.clear,
             followed=label,
             deliberation=deliberation.following(label, scenario.now),
             nearest=memory.progress(),
         )
         return decision, memory
 
-    def _safe(self, followed: Component, judge: Judge) -> Guarded:
-        """What is done of a component: what the guard says, or a way out where nothing is clear."""
-        safe, search = (
-            judge.command(followed.robot, expected(followed, judge)),
-            self.settings.way_out,
-        )
-        if search is None or (followed.feasible and safe.tier <= Tier.AVOIDING):
-            return safe
-        way = search.search(judge.scenario, judge.belief, followed.robot)
-        return safe if way is None else judge.clear(way) or safe
+    def _safe(self, followed: Component, judge: Judge, memory: Memory, began: float) -> Guarded:
+        """What is done of a component: its own command where that is clear, else a way out, or
+        what is left of what is driven; where those are not clear, what the guard says."""
+        settings, planned = self.settings, expected(followed, judge)
+        if settings.way_out is None or followed.check.clear:
+            return judge.command(followed.robot, planned)
+        until = np.inf
+        if settings.deadline is not None:
+            until = began + (1 - LAST_WORD / 2) * settings.deadline
+        way = settings.way_out.search(judge.scenario, judge.belief, followed.robot, until)
+        found = None if way is None else judge.clear(way)
+        if found is None and memory.trajectory is not None:
+            since, times = judge.scenario.now - memory.started, judge.scenario.density.times
+            found = judge.clear(shifted(memory.trajectory, since, times))
+        return found or judge.command(followed.robot, planned)
 
     def _propose(self, memory: Memory, belief: Belief) -> tuple[tuple[Hypothesis, ...], Memory]:
         """The hypotheses of this step, and what is remembered of the operator for them."""
