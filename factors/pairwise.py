@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,30 @@ from factors.residual import Array, Expansion, Residual
 
 _SUM = "...p,...p->..."
 """Sum over pairs of a product."""
+
+
+class ByPair(NamedTuple):
+    """An expansion whose Hessian is kept pair by pair: energy (...), gradient (..., s), and the
+    block (xx, xy, yy) of Δ = p_i − p_j of each pair, shape (..., P, 3)."""
+
+    energy: Array
+    gradient: Array
+    blocks: Array
+
+
+@runtime_checkable
+class PairTerm(Protocol):
+    """A residual that can be expanded pair by pair: bodies i < j of each pair, shape (P,)."""
+
+    @property
+    def i(self) -> NDArray[np.intp]: ...
+
+    @property
+    def j(self) -> NDArray[np.intp]: ...
+
+    def by_pair(self, *x: Array, flat: bool = False) -> ByPair:
+        """The expansion; with `flat`, Gauss–Newton's."""
+        ...
 
 
 class PairPotential(ABC):

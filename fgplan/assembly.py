@@ -41,7 +41,14 @@ class Quadratic:
         gradient: Shape (B, S, D).
     """
 
-    def __init__(self, assembly: Assembly, X: Array, which: Index, expand: Expand) -> None:
+    def __init__(
+        self,
+        assembly: Assembly,
+        X: Array,
+        which: Index,
+        expand: Expand,
+        nonlinear: Sequence[Wired] | None = None,
+    ) -> None:
         self._assembly, self.states, self._which = assembly, X, which
         d = X - assembly.reference[which]
         curve = assembly.times(d, which)
@@ -51,7 +58,7 @@ class Quadratic:
         self.gradient = self.linear_gradient.copy()
         self._parts: list[tuple[Wired, Array]] = []
         self._far: list[tuple[Index, Array]] = []
-        for wired in assembly.nonlinear:
+        for wired in assembly.nonlinear if nonlinear is None else nonlinear:
             with np.errstate(over="ignore", invalid="ignore"):  # as in `Assembly.energy`
                 part = expand(wired.residual, wired.variables(X))
             self.energy += np.add.reduce(part.energy, axis=-1)
@@ -61,7 +68,11 @@ class Quadratic:
                 self._parts.append((wired, part.hessian))
             else:
                 self._far.append((wired.far, part.hessian[:, 0]))
-        for k, held in assembly.held:
+        self._hold()
+
+    def _hold(self) -> None:
+        """What is known without error has no slope."""
+        for k, held in self._assembly.held:
             self.gradient[:, k, held] = 0.0
 
     def take(self, rows: Index) -> Quadratic:
@@ -101,10 +112,15 @@ class Quadratic:
         """Blocks (k, k + 1) of all B Hessians, shape (B, S − 1, D, D)."""
         return self.hessian(np.arange(len(self.energy)))[1]
 
-    def newton(self) -> tuple[Array, NDArray[np.bool_]]:
+    def newton(self) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Steps −H⁻¹ g of all B expansions, shape (B, S, D), zero where H is not positive definite,
-        and where it is (B,)."""
-        return self._solve(self._which, self.gradient, self._parts)
+        where it is (B,), and which steps are of use (B,)."""
+        steps, definite = self._solve(self._which, self.gradient, self._parts)
+        return steps, definite, definite
+
+    def confirmed(self, rows: Index) -> NDArray[np.bool_]:
+        """Whether some of those where H was found positive definite are known to be, shape (R,)."""
+        return np.ones(len(rows), dtype=bool)
 
     def flattened(self, rows: Index) -> tuple[Array, NDArray[np.bool_]]:
         """The same of some of them without what curves downwards, shape (R, S, D) and (R,): small
@@ -114,7 +130,7 @@ class Quadratic:
             if wired.residual.convex:
                 parts.append((wired, part[rows]))
             elif part.shape[-1] == 2:
-                parts.append((wired, _clamped(part[rows])))
+                parts.append((wired, clamped(part[rows])))
             else:
                 flat = wired.residual.gauss_newton(*wired.variables(self.states[rows])).hessian
                 wired.hold(flat)
@@ -182,8 +198,8 @@ class Assembly:
             self.free[k, first.columns[name]] = False
         self.order = interleaved(first)
         curved = [term for term in first.shared if not isinstance(term.residual, Linear)]
-        terms = self.backend.fused(curved)
-        self.nonlinear = [wire(term, first.columns, self.order) for term in terms]
+        self.terms = tuple(self.backend.fused(curved))
+        self.nonlinear = [wire(term, first.columns, self.order) for term in self.terms]
         self.nonlinear += [wire_user(factor, first, self.order) for factor in first.extra]
         self._known = np.flatnonzero(~self.free.all(axis=1)).tolist()
         self.nonlinear = [self._held(wired) for wired in self.nonlinear]
@@ -395,7 +411,7 @@ def hold(free: NDArray[np.bool_], diagonal: Array, upper: Array) -> None:
             upper[:, k - 1, :, held] = 0
 
 
-def _clamped(H: Array) -> Array:
+def clamped(H: Array) -> Array:
     """Symmetric (..., 2, 2) blocks without their negative eigenvalues."""
     a, b, c = H[..., 0, 0], H[..., 1, 1], H[..., 0, 1]
     middle, half = 0.5 * (a + b), 0.5 * (a - b)

@@ -25,8 +25,42 @@ Mask = NDArray[np.bool_]
 Product = Callable[[Array], Array]
 
 
+class Pairwise(Protocol):
+    """Newton steps of densities in which people are linked by pairs alone: see
+    `fgplan.compiled.conjugate.newton`."""
+
+    def __call__(
+        self,
+        people: Array,
+        row: Index,
+        own: Array,
+        cushion: Array,
+        blocks: Array,
+        first: int,
+        stride: int,
+        i: Index,
+        j: Index,
+        robot: Index,
+        free: Array,
+        free_own: Array,
+        forcing: float,
+        most: int,
+        step: Array,
+        step_own: Array,
+        definite: Mask,
+        products: Index,
+        /,
+    ) -> None: ...
+
+
 class Backend(Protocol):
     """What takes time."""
+
+    @property
+    def pairwise(self) -> Pairwise | None:
+        """How systems are solved pair by pair; None where they are factorised whatever their
+        size."""
+        ...
 
     def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
         """The same density in terms that are faster to evaluate."""
@@ -56,6 +90,8 @@ class Backend(Protocol):
 
 class Numpy:
     """numpy and LAPACK."""
+
+    pairwise: Pairwise | None = None
 
     def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
         """The terms, those between the robot and the same held people as one: where people are is

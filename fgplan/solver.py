@@ -6,8 +6,10 @@ optimum at best.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from time import perf_counter
 from typing import Protocol
 
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly, Quadratic
 from fgplan.block_tridiagonal import Factor, factorize
+from fgplan.sparse import Layout, Sparse
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -112,7 +115,8 @@ class SecondOrder:
         stop = [Stop.ITERATIONS] * B
         iterations = np.zeros(B, dtype=int)
         decrement = np.full(B, np.inf)
-        q = assembly.expand(X, which)
+        expand = _expansions(assembly)
+        q = expand(X, which)
         energy = q.energy.copy()
         last, stuck = np.zeros_like(X), np.zeros(B, dtype=bool)
         active = np.flatnonzero(np.isfinite(energy))
@@ -140,10 +144,9 @@ class SecondOrder:
             decrement[active], energy[active] = way.promised, q.energy
             done = way.promised < self.tolerance
             if done.any():
-                for b, curved in zip(
-                    active[done].tolist(), way.minimum[done].tolist(), strict=True
-                ):
-                    stop[b] = Stop.CONVERGED if curved else Stop.SADDLE
+                curved = way.minimum[done] & q.confirmed(np.flatnonzero(done))
+                for b, minimum in zip(active[done].tolist(), curved.tolist(), strict=True):
+                    stop[b] = Stop.CONVERGED if minimum else Stop.SADDLE
                 last[active[done]] = way.step[done]
             ended = done
             if rivals:
@@ -154,7 +157,7 @@ class SecondOrder:
             going = np.flatnonzero(~ended)
             if not len(going):
                 break
-            length, ahead = _line_search(assembly, X[active], way, which[active], going)
+            length, ahead = _line_search(assembly, expand, X[active], way, which[active], going)
             rows, moved = active[going], length > 0
             on = rows[moved]
             X[rows], energy[rows], stuck[rows] = ahead.states, ahead.energy, False
@@ -272,6 +275,15 @@ def factor_hessian(assembly: Assembly, state: Array, which: int) -> Factor | Non
     return factorize(*system)
 
 
+Expand = Callable[[Array, Index], Quadratic]
+
+
+def _expansions(assembly: Assembly) -> Expand:
+    """How an assembly is expanded on the way to an optimum: pair by pair where it can be."""
+    layout = Layout.of(assembly)
+    return assembly.expand if layout is None else partial(Sparse, assembly, layout)
+
+
 @dataclass(frozen=True, eq=False)
 class _Directions:
     """Where to go from B states: steps (B, S, D), what they promise (B,) [nats], whether the true
@@ -288,8 +300,9 @@ class _Directions:
 def _directions(q: Quadratic, stuck: NDArray[np.bool_] | None = None) -> _Directions:
     """Newton's steps; Gauss–Newton's where the true Hessian is not positive definite, and for
     those that are stuck."""
-    step, minimum = q.newton()
-    newton = minimum if stuck is None else minimum & ~stuck
+    step, minimum, newton = q.newton()
+    if stuck is not None:
+        newton = newton & ~stuck
     found = newton.copy()
     if not newton.all():
         rows = np.flatnonzero(~newton)
@@ -312,7 +325,7 @@ CURVED = 1.5
 
 
 def _line_search(
-    assembly: Assembly, X: Array, way: _Directions, which: Index, rows: Index
+    assembly: Assembly, expand: Expand, X: Array, way: _Directions, which: Index, rows: Index
 ) -> tuple[Array, Quadratic]:
     """Length of the step for some rows (R,), 0 where none lowers the energy, and the expansions
     at its end.
@@ -321,7 +334,7 @@ def _line_search(
     made; else the best of a few lengths; else of a few short ones.
     """
     before, promised = way.expansion.energy[rows], np.maximum(way.promised[rows], 0.0)
-    ahead = assembly.expand(assembly.moved(X[rows], way.step[rows]), which[rows])
+    ahead = expand(assembly.moved(X[rows], way.step[rows]), which[rows])
     energies = assembly.along(way.expansion, X, way.step, which)
     length, reached = np.ones(len(rows)), _finite(ahead.energy)
 
@@ -339,16 +352,17 @@ def _line_search(
         search(poor, lengths)
         # A longer search is only for those that still go up.
         poor = poor[reached[poor] >= before[poor]]
-    if not way.newton[rows].all():
+    whole = (way.newton & way.minimum)[rows]
+    if not whole.all():
         way_down = before - reached > CURVED * promised
-        long = np.flatnonzero(way_down & ~way.newton[rows] & (length == 1.0))
+        long = np.flatnonzero(way_down & ~whole & (length == 1.0))
         if len(long):
             search(long, LONG_LENGTHS)
     length[reached >= before] = 0.0
     other = np.flatnonzero(length != 1.0)
     if len(other):
         at, step = rows[other], length[other, None, None] * way.step[rows[other]]
-        ahead.put(other, assembly.expand(assembly.moved(X[at], step), which[at]))
+        ahead.put(other, expand(assembly.moved(X[at], step), which[at]))
     return length, ahead
 
 

@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
+PERSON, BAND = 4, 6
+"""Coordinates of a person, and width of the band of a chain of x, vx, y, vy."""
+
+
 class Part(NamedTuple):
     """Where one block of an expansion belongs in the band: steps of the rows, whether the columns
     are of the next step, places in the band, places in the expansion, and which entries are on or

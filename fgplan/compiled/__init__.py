@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.block_tridiagonal import Chains, chunks
-from fgplan.compiled import band, limits, pairs
+from fgplan.compiled import band, conjugate, limits, pairs
 from fgplan.model import Term
 from fgplan.wiring import Wired
 
@@ -29,6 +29,8 @@ smaller part of the cache."""
 
 class Compiled:
     """The `fgplan.backend.Backend` of compiled kernels."""
+
+    pairwise = staticmethod(conjugate.newton)
 
     def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
         return pairs.fused(list(limits.fused(terms)))

@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from factors.contact import Contact
 from factors.hinge import TINY, hinge_scale
 from factors.interaction import Interaction
-from factors.pairwise import CrowdPairs, PairPotential, PredictedPairs, Together
+from factors.pairwise import ByPair, CrowdPairs, PairPotential, PredictedPairs, Together
 from factors.residual import Array, Expansion, Residual
 from fgplan.compiled.kernel import BOOL, INT, exact, given, result
 from fgplan.model import Term
 
 Index = NDArray[np.intp]
 
+NOWHERE = -40.0
+"""Below this exponent an interaction is nothing beside the rounding of a sum."""
 FAINT = 1e-8
 """Below this −log(1 − u) is u + u²/2 to rounding."""
 LEAST = 1e-16
@@ -83,6 +85,19 @@ class Pairs(Residual):
 
     def gauss_newton(self, *x: Array) -> Expansion:
         return self._expansion(x, flat=True)
+
+    def by_pair(self, *x: Array, flat: bool = False) -> ByPair:
+        """The expansion with its Hessian pair by pair; with `flat`, Gauss–Newton's."""
+        robot, crowd = _variables(x)
+        shape, size = robot.shape[:2], len(self.positions)
+        energy, gradient = np.zeros(shape), np.zeros((*shape, size))
+        blocks = np.zeros((*shape, len(self.i), 3))
+        bodies = robot, crowd, self.held, self.i, self.j, self.table
+        _expand_by_pair(*bodies, flat, energy, gradient, blocks)
+        batch = x[0].shape[:-1]
+        return ByPair(
+            *(part.reshape(*batch, *part.shape[2:]) for part in (energy, gradient, blocks))
+        )
 
     def _expansion(self, x: tuple[Array, ...], flat: bool) -> Expansion:
         robot, crowd = _variables(x)
@@ -217,7 +232,7 @@ def _energy(
                 x, y = bodies[i[p], 0] - bodies[j[p], 0], bodies[i[p], 1] - bodies[j[p], 1]
                 d2 = x * x + y * y
                 alpha, exponent, weight, reach, scale = row[p]
-                if alpha > 0:
+                if alpha > 0 and exponent * d2 > NOWHERE:
                     total += weight * _presence_energy(alpha * exp(exponent * d2))
                 d = sqrt(d2 + TINY**2)
                 if not d > reach:
@@ -231,7 +246,7 @@ def _radial(d2: float, row: Array, flat: bool) -> tuple[float, float, float, flo
     Gauss–Newton curvature."""
     alpha, exponent, weight, reach, scale = row[0], row[1], row[2], row[3], row[4]
     energy = slope = a = b = 0.0
-    if alpha > 0:
+    if alpha > 0 and exponent * d2 > NOWHERE:
         u = alpha * exp(exponent * d2)
         energy = weight * _presence_energy(u)
         rest = 1 - u
@@ -301,3 +316,35 @@ def _expand(
                     _add(H, c, c, xx, xy, yy)
                     _add(H, r, c, -xx, -xy, -yy)
                     _add(H, c, r, -xx, -xy, -yy)
+
+
+@exact(*_STATES, *_TABLE, BOOL, result(2), result(3), result(4))
+def _expand_by_pair(
+    robot: Array,
+    crowd: Array,
+    held: Array,
+    i: Index,
+    j: Index,
+    table: Array,
+    flat: bool,
+    energy: Array,
+    gradient: Array,
+    blocks: Array,
+) -> None:
+    m = gradient.shape[2] // 2
+    bodies = np.empty((m + held.shape[1], 2))
+    for n in range(robot.shape[0]):
+        for k in range(robot.shape[1]):
+            _place(bodies, robot[n, k], crowd[n, k], held[min(k, len(held) - 1)])
+            row, g, h = table[min(k, len(table) - 1)], gradient[n, k], blocks[n, k]
+            for p in range(len(i)):
+                one, other = i[p], j[p]
+                x, y = bodies[one, 0] - bodies[other, 0], bodies[one, 1] - bodies[other, 1]
+                e, slope, a, b = _radial(x * x + y * y, row[p], flat)
+                energy[n, k] += e
+                h[p, 0], h[p, 1], h[p, 2] = a + b * x * x, b * x * y, a + b * y * y
+                g[2 * one] += slope * x
+                g[2 * one + 1] += slope * y
+                if other < m:
+                    g[2 * other] -= slope * x
+                    g[2 * other + 1] -= slope * y

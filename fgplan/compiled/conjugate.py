@@ -1,0 +1,274 @@
+"""Newton steps by preconditioned conjugate gradients, compiled: products cost what pairs there are.
+
+Without the pairs every body is a chain of its own, and those chains are what the system is
+preconditioned by, each with what its pairs curve upwards. Where a direction is met along which the
+energy curves downwards, the step so far is what is left (Steihaug), the first direction at least.
+
+Reference:
+    Steihaug, The conjugate gradient method and trust regions in large scale optimization, SIAM
+    Journal on Numerical Analysis 20(3), 1983.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgplan.compiled.kernel import BOOL, FLOAT, INT, given, reordered, result
+from fgplan.wiring import PERSON
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+@reordered()
+def _factorise(A: Array) -> bool:
+    """L with L Lᵀ = H of n chains in a band (rows, width, n), in place, its diagonal inverted."""
+    rows, width, n = A.shape
+    for c in range(rows):
+        for q in range(n):
+            if not A[c, 0, q] > 0:
+                return False
+            A[c, 0, q] = 1 / sqrt(A[c, 0, q])
+        for o in range(1, width):
+            for q in range(n):
+                A[c, o, q] *= A[c, 0, q]
+        for o in range(1, min(width, rows - c)):
+            for e in range(o, width):
+                for q in range(n):
+                    A[c + o, e - o, q] -= A[c, o, q] * A[c, e, q]
+    return True
+
+
+@reordered()
+def _solve(L: Array, x: Array) -> None:
+    """x ← (L Lᵀ)⁻¹ x, with the L of `_factorise`; x has shape (rows, n)."""
+    rows, width, n = L.shape
+    for c in range(rows):
+        for q in range(n):
+            x[c, q] *= L[c, 0, q]
+        for o in range(1, min(width, rows - c)):
+            for q in range(n):
+                x[c + o, q] -= L[c, o, q] * x[c, q]
+    for c in range(rows - 1, -1, -1):
+        for o in range(1, min(width, rows - c)):
+            for q in range(n):
+                x[c, q] -= L[c, o, q] * x[c + o, q]
+        for q in range(n):
+            x[c, q] *= L[c, 0, q]
+
+
+@reordered()
+def _multiply(H: Array, x: Array, y: Array) -> None:
+    """y ← H x of n chains in a band (rows, width, n)."""
+    rows, width, n = H.shape
+    for c in range(rows):
+        for q in range(n):
+            y[c, q] = H[c, 0, q] * x[c, q]
+    for c in range(rows):
+        for o in range(1, min(width, rows - c)):
+            for q in range(n):
+                y[c + o, q] += H[c, o, q] * x[c, q]
+                y[c, q] += H[c, o, q] * x[c + o, q]
+
+
+@reordered()
+def _add_pairs(
+    near: Index, blocks: Array, i: Index, j: Index, robot: Index, x: Array, u: Array, y: Array,
+    v: Array,
+) -> None:  # fmt: skip
+    """Add what the pairs curve: to y (rows, n) of the people at x, to v (rows', 1) of the robot at
+    u."""
+    for entry in range(len(near)):
+        k, p = near[entry, 0], near[entry, 1]
+        xx, xy, yy = blocks[entry, 0], blocks[entry, 1], blocks[entry, 2]
+        one, other, at = i[p] - 1, j[p] - 1, PERSON * k
+        if one < 0:
+            r = robot[k]
+            dx, dy = u[r, 0] - x[at, other], u[r + 1, 0] - x[at + 2, other]
+        else:
+            dx, dy = x[at, one] - x[at, other], x[at + 2, one] - x[at + 2, other]
+        gx, gy = xx * dx + xy * dy, xy * dx + yy * dy
+        y[at, other] -= gx
+        y[at + 2, other] -= gy
+        if one < 0:
+            v[r, 0] += gx
+            v[r + 1, 0] += gy
+        else:
+            y[at, one] += gx
+            y[at + 2, one] += gy
+
+
+@reordered()
+def _cushion(
+    near: Index, blocks: Array, i: Index, j: Index, robot: Index, people: Array, own: Array
+) -> None:
+    """Add what each pair curves upwards to the chains of its bodies."""
+    for entry in range(len(near)):
+        k, p = near[entry, 0], near[entry, 1]
+        xx, xy, yy = blocks[entry, 0], blocks[entry, 1], blocks[entry, 2]
+        middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+        radius = sqrt(half * half + xy * xy)
+        high, low = max(middle + radius, 0.0), max(middle - radius, 0.0)
+        mean, scale = 0.5 * (high + low), 0.5 * (high - low) / max(radius, 1e-300)
+        a, b, d = mean + scale * half, scale * xy, mean - scale * half
+        for body in (i[p] - 1, j[p] - 1):
+            if body < 0:
+                r = robot[k]
+                own[r, 0, 0] += a
+                own[r, 1, 0] += b
+                own[r + 1, 0, 0] += d
+            else:
+                people[PERSON * k, 0, body] += a
+                people[PERSON * k, 2, body] += b
+                people[PERSON * k + 2, 0, body] += d
+
+
+@reordered()
+def _near(blocks: Array, first: int, stride: int, near: Index, kept: Array) -> int:
+    """The pairs that curve at all: step and pair (·, 2), and their blocks (·, 3); how many."""
+    count = 0
+    for k in range(blocks.shape[0]):
+        for p in range(blocks.shape[1]):
+            if blocks[k, p, 0] != 0.0 or blocks[k, p, 1] != 0.0 or blocks[k, p, 2] != 0.0:
+                near[count, 0], near[count, 1] = first + k * stride, p
+                for c in range(3):
+                    kept[count, c] = blocks[k, p, c]
+                count += 1
+    return count
+
+
+@reordered()
+def _dot(a: Array, b: Array) -> float:
+    total = 0.0
+    for r in range(a.shape[0]):
+        for q in range(a.shape[1]):
+            total += a[r, q] * b[r, q]
+    return total
+
+
+@reordered()
+def _along(x: Array, share: float, d: Array) -> None:
+    """x ← x + share d."""
+    for r in range(x.shape[0]):
+        for q in range(x.shape[1]):
+            x[r, q] += share * d[r, q]
+
+
+@reordered()
+def _onto(d: Array, share: float, z: Array) -> None:
+    """d ← z + share d."""
+    for r in range(d.shape[0]):
+        for q in range(d.shape[1]):
+            d[r, q] = z[r, q] + share * d[r, q]
+
+
+@reordered()
+def _keep(x: Array, free: Array) -> None:
+    """x ← x where it is free, else 0."""
+    for r in range(x.shape[0]):
+        for q in range(x.shape[1]):
+            x[r, q] *= free[r, q]
+
+
+_CHAINS = (given(4), given(1, INT), given(4), given(4))
+_PAIRS = (given(4), INT, INT, given(1, INT), given(1, INT), given(1, INT))
+_FREE = (given(2), given(2))
+
+
+@reordered(
+    *_CHAINS, *_PAIRS, *_FREE, FLOAT, INT, result(3), result(3), result(1, BOOL), result(1, INT)
+)
+def newton(
+    people: Array,
+    row: Index,
+    own: Array,
+    cushion: Array,
+    blocks: Array,
+    first: int,
+    stride: int,
+    i: Index,
+    j: Index,
+    robot: Index,
+    free: Array,
+    free_own: Array,
+    forcing: float,
+    most: int,
+    step: Array,
+    step_own: Array,
+    definite: Mask,
+    products: Index,
+) -> None:
+    """Steps −H⁻¹ g of B systems.
+
+    Args:
+        people: Chains of n people without pairs, shape (K, 4S, BAND, n).
+        row: Which of them each system has, shape (B,).
+        own: Chain of all that is not people, shape (B, rows, width, 1).
+        cushion: The same without what curves downwards.
+        blocks: Of the pairs (xx, xy, yy), shape (B, steps, P, 3).
+        first, stride: Time steps of these.
+        i, j: Bodies of each pair, the robot being 0, shape (P,).
+        robot: Row of the robot's position in its chain at each time step, shape (S,).
+        free, free_own: 1 where a coordinate may move, else 0: shapes (4S, n) and (rows, 1).
+        forcing: The residual of a step is at most this share of the gradient, and its square root
+            where that is less, in the norm of the preconditioner.
+        most: Products at most.
+        step, step_own: g (B, 4S, n) and (B, rows, 1); overwritten with the steps.
+        definite: Is told where no direction curved downwards, shape (B,).
+        products: Is told how many products it took, shape (B,).
+    """
+    B, S, P = blocks.shape[0], blocks.shape[1], blocks.shape[2]
+    near, kept = np.empty((S * P, 2), np.intp), np.empty((S * P, 3))
+    for b in range(B):
+        count = _near(blocks[b], first, stride, near, kept)
+        pairs, curves = near[:count], kept[:count]
+        M, M_own = people[row[b]].copy(), cushion[b].copy()
+        _cushion(pairs, curves, i, j, robot, M, M_own)
+        H, H_own, x, x_own = people[row[b]], own[b], step[b], step_own[b]
+        definite[b], products[b] = False, 0
+        if not (_factorise(M) and _factorise(M_own)):
+            x[:], x_own[:] = 0.0, 0.0
+            continue
+        r, r_own = -x, -x_own
+        x[:], x_own[:] = 0.0, 0.0
+        z, z_own = r.copy(), r_own.copy()
+        _solve(M, z)
+        _solve(M_own, z_own)
+        _keep(z, free)
+        _keep(z_own, free_own)
+        d, d_own = z.copy(), z_own.copy()
+        y, y_own = np.empty_like(x), np.empty_like(x_own)
+        rz = _dot(r, z) + _dot(r_own, z_own)
+        enough = min(forcing, sqrt(rz)) ** 2 * rz
+        definite[b] = rz < np.inf
+        while definite[b] and products[b] < most and rz > enough:
+            products[b] += 1
+            _multiply(H, d, y)
+            _multiply(H_own, d_own, y_own)
+            _add_pairs(pairs, curves, i, j, robot, d, d_own, y, y_own)
+            _keep(y, free)
+            _keep(y_own, free_own)
+            curvature = _dot(d, y) + _dot(d_own, y_own)
+            if not curvature > 0:
+                definite[b] = False
+                if products[b] == 1:
+                    x[:], x_own[:] = d, d_own
+                break
+            share = rz / curvature
+            _along(x, share, d)
+            _along(x_own, share, d_own)
+            _along(r, -share, y)
+            _along(r_own, -share, y_own)
+            z[:], z_own[:] = r, r_own
+            _solve(M, z)
+            _solve(M_own, z_own)
+            _keep(z, free)
+            _keep(z_own, free_own)
+            after = _dot(r, z) + _dot(r_own, z_own)
+            _onto(d, after / rz, z)
+            _onto(d_own, after / rz, z_own)
+            rz = after

@@ -1,0 +1,242 @@
+"""A density of many people, pair by pair: what a Newton step costs grows with the pairs.
+
+People are linked to others by pairs alone: apart from them each is a chain of its own, and so is
+the robot with its plans. A Hessian is never laid out: a pair keeps its block of 2 × 2, and systems
+are solved by conjugate gradients, preconditioned by the chains (`fgplan.compiled.conjugate`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.pairwise import PairTerm
+from fgplan.assembly import Assembly, Quadratic, clamped
+from fgplan.backend import Pairwise
+from fgplan.block_tridiagonal import Chains
+from fgplan.wiring import BAND, PERSON, Wired, wire
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+FEWEST = 12
+"""People from whom on systems are solved so: with fewer, factorising was measured to be as fast."""
+FORCING = 0.3
+"""Accuracy of a step far from an optimum; near it the square root of its own length is less, so
+that the error of the next one is that of this one to the power of 3/2."""
+MOST = 200
+"""Products with a Hessian in a step, at most."""
+PROBING, PROBES = 1e-3, 40
+"""The same for a direction that is drawn, to see whether the energy curves downwards anywhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the parts of a density are, for n people, S steps, and R coordinates of a step beside
+    theirs.
+
+    Args:
+        solver: The kernels.
+        pairs, term: Of all pairs among which people are variables.
+        others: The other nonlinear terms, none of which is on people, by their places in the state
+            and in a chain of R coordinates.
+        person: Columns of each person's x, vx, y, vy, shape (n, 4).
+        rest: Columns of the others, shape (R,).
+        people: Constant Hessians of people, shape (K, 4S, BAND, n).
+        chains: Constant Hessians of the others.
+        robot: Row of the robot's position at each step in its chain, shape (S,).
+        free, free_rest: 1 where a coordinate may move, else 0, shapes (4S, n) and (RS, 1).
+    """
+
+    solver: Pairwise
+    pairs: Wired
+    term: PairTerm
+    others: tuple[tuple[Wired, Wired], ...]
+    person: Index
+    rest: Index
+    people: Array
+    chains: Chains
+    robot: Index
+    free: Array
+    free_rest: Array
+
+    @classmethod
+    def of(cls, assembly: Assembly) -> Layout | None:
+        """Of an assembly; None where it is not of this kind, or too small."""
+        first, solver = assembly.models[0], assembly.backend.pairwise
+        crowd, robot = first.columns.get("crowd"), first.columns.get("robot")
+        if solver is None or crowd is None or robot is None or first.extra or assembly.motion:
+            return None
+        n, (S, D) = (crowd.stop - crowd.start) // PERSON, assembly.free.shape
+        each = list(zip(assembly.terms, assembly.nonlinear, strict=True))
+        on_people = [wired for term, wired in each if "crowd" in dict(term.variables)]
+        rest_of = [(term, wired) for term, wired in each if wired not in on_people]
+        if n < FEWEST or len(on_people) != 1 or not all(_small(wired) for _, wired in rest_of):
+            return None
+        pairs = on_people[0]
+        if not isinstance(pairs.residual, PairTerm):
+            return None
+        person = crowd.start + np.arange(crowd.stop - crowd.start).reshape(2, n, 2)
+        person = person.transpose(1, 2, 0).reshape(n, PERSON)
+        rest = np.setdiff1d(np.arange(D), person)
+        diagonal, upper = assembly.held_hessian(np.unique(assembly.row, return_index=True)[1])
+        if not _apart(diagonal, upper, person, rest):
+            return None
+        place = {int(column): at for at, column in enumerate(rest)}
+        columns = {
+            name: slice(place[c.start], place[c.start] + c.stop - c.start)
+            for name, c in first.columns.items()
+            if name != "crowd"
+        }
+        order = np.arange(len(rest))
+        others = [
+            (wired, replace(wire(term, columns, order), held=wired.held)) for term, wired in rest_of
+        ]
+        free = assembly.free.astype(float)
+        return cls(
+            solver,
+            pairs,
+            pairs.residual,
+            tuple(others),
+            person,
+            rest,
+            _bands(diagonal, upper, person),
+            Chains.of(diagonal[:, :, rest[:, None], rest], upper[:, :, rest[:, None], rest]),
+            len(rest) * np.arange(S) + place[robot.start],
+            np.ascontiguousarray(free[:, person].transpose(0, 2, 1).reshape(-1, n)),
+            free[:, rest].reshape(-1, 1),
+        )
+
+
+class Sparse(Quadratic):
+    """Expansion of B energies at states (B, S, D), pair by pair."""
+
+    def __init__(
+        self, assembly: Assembly, layout: Layout, X: Array, which: Index, flat: bool = False
+    ) -> None:
+        self._layout = layout
+        kind = "gauss_newton" if flat else "expand"
+        small = [wired for wired, _ in layout.others]
+        super().__init__(assembly, X, which, lambda r, x: getattr(r, kind)(*x), small)
+        pairs = layout.pairs
+        with np.errstate(over="ignore", invalid="ignore"):
+            part = layout.term.by_pair(*pairs.variables(X), flat=flat)
+        self.energy += np.add.reduce(part.energy, axis=-1)
+        pairs.add_gradient(part.gradient, self.gradient)
+        self._blocks = part.blocks
+        self._hold()
+
+    def take(self, rows: Index) -> Sparse:
+        some = super().take(rows)
+        assert isinstance(some, Sparse)
+        some._blocks = self._blocks[rows]
+        return some
+
+    def put(self, rows: Index, other: Quadratic) -> None:
+        super().put(rows, other)
+        assert isinstance(other, Sparse)
+        self._blocks[rows] = other._blocks
+
+    def newton(self) -> tuple[Array, Mask, Mask]:
+        """As in `Quadratic`, but where the energy is seen to curve downwards a step is what was
+        found before, and still of use."""
+        steps, definite, products = self._solved(self.gradient, self._which, FORCING, MOST)
+        return steps, definite, products > 0
+
+    def confirmed(self, rows: Index) -> Mask:
+        """No drawn direction leads to one that curves downwards. A saddle on which robot and
+        people are symmetric has no gradient across, so no step ever looks there."""
+        drawn = np.random.default_rng(0).standard_normal(self.gradient.shape[1:])
+        drawn = np.where(self._assembly.free, drawn, 0.0)
+        some = self.take(rows)
+        aside = np.broadcast_to(drawn, some.gradient.shape)
+        return some._solved(aside, some._which, PROBING, PROBES)[1]
+
+    def _solved(
+        self, gradient: Array, which: Index, forcing: float, most: int
+    ) -> tuple[Array, Mask, Index]:
+        """Steps (B, S, D), where no direction curved downwards (B,), and how many were tried."""
+        layout = self._layout
+        B, S, _ = gradient.shape
+        n, R, row = len(layout.person), len(layout.rest), self._assembly.row[which]
+        own = layout.chains.take(row)
+        parts = [
+            (wired, part) for (_, wired), (_, part) in zip(layout.others, self._parts, strict=True)
+        ]
+        for wired, part in parts:
+            if wired.residual.convex:
+                wired.add_lower(part, own)
+        cushion = Chains(own.data.copy(), own.order)
+        for wired, part in parts:
+            if not wired.residual.convex:
+                wired.add_lower(part, own)
+                wired.add_lower(clamped(part), cushion)
+        step = gradient[:, :, layout.person.T].reshape(B, S * PERSON, n)
+        step_rest = gradient[:, :, layout.rest].reshape(B, S * R, 1)
+        definite, products = np.empty(B, dtype=bool), np.empty(B, dtype=np.intp)
+        first = layout.pairs.first
+        layout.solver(
+            layout.people,
+            row,
+            own.data[..., None],
+            cushion.data[..., None],
+            self._blocks,
+            first.start,
+            first.step or 1,
+            layout.term.i,
+            layout.term.j,
+            layout.robot,
+            layout.free,
+            layout.free_rest,
+            forcing,
+            most,
+            step,
+            step_rest,
+            definite,
+            products,
+        )
+        steps = np.empty_like(gradient)
+        steps[:, :, layout.person.T] = step.reshape(B, S, PERSON, n)
+        steps[:, :, layout.rest] = step_rest.reshape(B, S, R)
+        return steps, definite, products
+
+    def flattened(self, rows: Index) -> tuple[Array, Mask]:
+        states, which = self.states[rows], self._which[rows]
+        steps, _, found = Sparse(self._assembly, self._layout, states, which, True).newton()
+        return steps, found
+
+
+def _small(wired: Wired) -> bool:
+    """Whether the curvature of a term can be kept from curving downwards block by block."""
+    return wired.residual.convex or len(wired.residual.support) == 2
+
+
+def _apart(diagonal: Array, upper: Array, person: Index, rest: Index) -> bool:
+    """Whether people are linked neither to each other nor to the rest, nor over time but along an
+    axis."""
+    linked, on = np.any(diagonal, axis=(0, 1)), np.any(upper, axis=(0, 1))
+    allowed = np.zeros_like(linked)
+    allowed[rest[:, None], rest] = True
+    later = allowed.copy()
+    for columns in person:
+        allowed[columns[:, None], columns] = True
+        for axis in columns.reshape(2, 2):
+            later[axis[:, None], axis] = True
+    return not (linked & ~allowed).any() and not (on & ~later).any()
+
+
+def _bands(diagonal: Array, upper: Array, person: Index) -> Array:
+    """Chains of people in a band each, shape (K, 4S, BAND, n)."""
+    K, S = diagonal.shape[:2]
+    bands = np.zeros((K, S, PERSON, BAND, len(person)))
+    for a in range(PERSON):
+        for b in range(PERSON):
+            row, column = person[:, a], person[:, b]
+            if b <= a:
+                bands[:, :, b, a - b] = diagonal[:, :, row, column]
+            if PERSON + b - a < BAND:
+                bands[:, :-1, a, PERSON + b - a] = upper[:, :, row, column]
+    return bands.reshape(K, S * PERSON, BAND, len(person))
