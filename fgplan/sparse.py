@@ -68,13 +68,13 @@ class Layout:
         """Of an assembly; None where it is not of this kind, or too small."""
         first, solver = assembly.models[0], assembly.backend.pairwise
         crowd, robot = first.columns.get("crowd"), first.columns.get("robot")
-        if solver is None or crowd is None or robot is None or first.extra or assembly.motion:
+        if solver is None or crowd is None or robot is None or first.extra:
             return None
         n, (S, D) = (crowd.stop - crowd.start) // PERSON, assembly.free.shape
         each = list(zip(assembly.terms, assembly.nonlinear, strict=True))
         on_people = [wired for term, wired in each if "crowd" in dict(term.variables)]
         rest_of = [(term, wired) for term, wired in each if wired not in on_people]
-        if n < FEWEST or len(on_people) != 1 or not all(_small(wired) for _, wired in rest_of):
+        if n < FEWEST or len(on_people) != 1:
             return None
         pairs = on_people[0]
         if not isinstance(pairs.residual, PairTerm):
@@ -164,16 +164,17 @@ class Sparse(Quadratic):
         n, R, row = len(layout.person), len(layout.rest), self._assembly.row[which]
         own = layout.chains.take(row)
         parts = [
-            (wired, part) for (_, wired), (_, part) in zip(layout.others, self._parts, strict=True)
+            (there, wired, part)
+            for (there, wired), (_, part) in zip(layout.others, self._parts, strict=True)
         ]
-        for wired, part in parts:
+        for _, wired, part in parts:
             if wired.residual.convex:
                 wired.add_lower(part, own)
         cushion = Chains(own.data.copy(), own.order)
-        for wired, part in parts:
+        for there, wired, part in parts:
             if not wired.residual.convex:
                 wired.add_lower(part, own)
-                wired.add_lower(clamped(part), cushion)
+                wired.add_lower(self._upwards(there, part), cushion)
         step = gradient[:, :, layout.person.T].reshape(B, S * PERSON, n)
         step_rest = gradient[:, :, layout.rest].reshape(B, S * R, 1)
         definite, products = np.empty(B, dtype=bool), np.empty(B, dtype=np.intp)
@@ -203,15 +204,18 @@ class Sparse(Quadratic):
         steps[:, :, layout.rest] = step_rest.reshape(B, S, R)
         return steps, definite, products
 
+    def _upwards(self, wired: Wired, part: Array) -> Array:
+        """Curvature (B, steps, s, s) of a term without what curves downwards."""
+        if part.shape[-1] == 2:
+            return clamped(part)
+        flat = wired.residual.gauss_newton(*wired.variables(self.states)).hessian
+        wired.hold(flat)
+        return flat
+
     def flattened(self, rows: Index) -> tuple[Array, Mask]:
         states, which = self.states[rows], self._which[rows]
         steps, _, found = Sparse(self._assembly, self._layout, states, which, True).newton()
         return steps, found
-
-
-def _small(wired: Wired) -> bool:
-    """Whether the curvature of a term can be kept from curving downwards block by block."""
-    return wired.residual.convex or len(wired.residual.support) == 2
 
 
 def _apart(diagonal: Array, upper: Array, person: Index, rest: Index) -> bool:

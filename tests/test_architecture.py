@@ -42,6 +42,7 @@ RANKS = [
     {"compiled"},
     {"backend"},
     {"assembly"},
+    {"sparse"},
     {"solver"},
     {"inference", "sketch"},
     {"search"},

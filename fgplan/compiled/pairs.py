@@ -234,9 +234,8 @@ def _energy(
                 alpha, exponent, weight, reach, scale = row[p]
                 if alpha > 0 and exponent * d2 > NOWHERE:
                     total += weight * _presence_energy(alpha * exp(exponent * d2))
-                d = sqrt(d2 + TINY**2)
-                if not d > reach:
-                    total += 0.5 * (scale * (reach - d)) ** 2
+                if reach > 0 and not d2 + TINY**2 > reach * reach:
+                    total += 0.5 * (scale * (reach - sqrt(d2 + TINY**2))) ** 2
             energy[n, k] = total
 
 
@@ -259,8 +258,8 @@ def _radial(d2: float, row: Array, flat: bool) -> tuple[float, float, float, flo
         else:
             a = slope
             b = 2 * exponent * slope / rest
-    d = sqrt(d2 + TINY**2)
-    if not d > reach:
+    if reach > 0 and not d2 + TINY**2 > reach * reach:
+        d = sqrt(d2 + TINY**2)
         e = scale * (reach - d)
         own = -scale * e / d
         energy += 0.5 * e * e

@@ -258,7 +258,7 @@ def test_densities_agree(scene, seed):
         for name in ("energy", "gradient", "diagonal", "upper"):
             close(getattr(mine, name), getattr(theirs, name))
         for (step, definite), (expected, also) in (
-            (mine.newton(), theirs.newton()),
+            (mine.newton()[:2], theirs.newton()[:2]),
             (mine.flattened(which), theirs.flattened(which)),
         ):
             assert_array_equal(definite, also)
