@@ -75,8 +75,8 @@ BLOCKED = "world.people[{}].begins"
 SUITE = (
     Case("s1_corridors", "time", ("fgplan-one-hypothesis",), corridors=ROUND_S1),
     Case("s1_corridors_human_like", "time", ("fgplan-one-hypothesis",), corridors=ROUND_S1),
-    Case("s2_trap", "success", ("fgplan-one-hypothesis",)),
-    Case("s2_trap_unseen", "success", ("fgplan-one-hypothesis",)),
+    Case("s2_trap", "path_ratio", ("fgplan-one-hypothesis",)),
+    Case("s2_trap_unseen", "path_ratio", ("fgplan-one-hypothesis",)),
     Case("s3_twins", "switches", ("fgplan-no-commitment",)),
     Case("s4_counterflow", "stopped_fraction", ("fgplan-predicted", "fgplan-no-contact")),
     Case("s4_counterflow_heedless", "stopped_fraction", ("fgplan-no-way-out", "fgplan-no-contact")),
@@ -144,10 +144,9 @@ def lines(case: Case, driven: dict[tuple[str, str], list[Row]]) -> Iterable[Row]
         own["oracle"] = oracle
     ours = own.get("fgplan", [])
     for name, rows in own.items():
-        numbers = [value(r, case.measure, limit) for r in rows]
+        known = [n for n in (value(r, case.measure, limit) for r in rows) if n is not None]
         successes = sum(bool(r["success"]) for r in rows)
-        theirs = [value(r, case.measure, limit) for r in ours]
-        apart = np.subtract(numbers, theirs) if len(theirs) == len(numbers) else []
+        apart = _apart(rows, ours, case.measure, limit)
         yield {
             "scenario": case.name,
             "planner": name,
@@ -156,11 +155,11 @@ def lines(case: Case, driven: dict[tuple[str, str], list[Row]]) -> Iterable[Row]
             "success_ci": list(metrics.wilson(successes, len(rows))),
             "collisions": float(np.mean([r["collisions"] for r in rows])),
             "measure": case.measure,
-            "value": float(np.mean(numbers)),
-            "value_ci": _interval(case.measure, numbers),
-            "more_than_fgplan": float(np.mean(apart)) if len(apart) else None,
-            "more_than_fgplan_ci": list(metrics.bootstrap(apart)) if len(apart) else None,
-            "time": float(np.mean([value(r, "time", limit) for r in rows])),
+            "value": float(np.mean(known)) if known else None,
+            "value_ci": _interval(case.measure, known) if known else None,
+            "more_than_fgplan": float(np.mean(apart)) if apart else None,
+            "more_than_fgplan_ci": list(metrics.bootstrap(apart)) if apart else None,
+            "time": _mean(value(r, "time", limit) for r in rows),
             "path_ratio": _mean(r["path_ratio"] for r in rows),
             "stopped_fraction": float(np.mean([r["stopped_fraction"] for r in rows])),
             "switches": float(np.mean([r["switches"] for r in rows])),
@@ -180,9 +179,9 @@ def regrets(cases: Sequence[Case], driven: dict[tuple[str, str], list[Row]]) -> 
         for case in alike:
             own = {name: rows for (scenario, name), rows in driven.items() if scenario == case.name}
             limit = case.setup(0).rules.time_limit
-            best = [value(r, "time", limit) for r in _oracle(own, limit)]
+            best = [_time(r, limit) for r in _oracle(own, limit)]
             for name, rows in own.items() if best else ():
-                times = [value(r, "time", limit) for r in rows]
+                times = [_time(r, limit) for r in rows]
                 lost.setdefault(name, []).append([t - b for t, b in zip(times, best, strict=True)])
         for name, runs in lost.items() if len(alike) > 1 else ():
             numbers = np.mean(runs, axis=0).tolist()
@@ -200,17 +199,36 @@ def _oracle(own: dict[str, list[Row]], limit: float) -> list[Row]:
     """The best run of each seed of those that were told the way; empty where nobody was."""
     told = [rows for name, rows in own.items() if name.startswith("told ")]
     runs = zip(*told, strict=True)
-    return [min(run, key=lambda r: value(r, "time", limit)) for run in runs]
+    return [min(run, key=lambda r: _time(r, limit)) for run in runs]
 
 
-def value(row: Row, name: str, limit: float) -> float:
-    """A number of a run; the time of one that does not arrive is the limit."""
+def value(row: Row, name: str, limit: float) -> float | None:
+    """A number of a run; the time of one that does not arrive is the limit, and the length of its
+    path None."""
     found = row[name]
-    return limit if found is None and name == "time" else float(found)
+    if name == "time":
+        return _time(row, limit)
+    return None if found is None else float(found)
+
+
+def _time(row: Row, limit: float) -> float:
+    return limit if row["time"] is None else float(row["time"])
+
+
+def _apart(rows: Sequence[Row], ours: Sequence[Row], name: str, limit: float) -> list[float]:
+    """How much more the runs have of a number than fgplan's on the same seeds."""
+    if len(rows) != len(ours):
+        return []
+    pairs = [
+        (value(r, name, limit), value(o, name, limit)) for r, o in zip(rows, ours, strict=True)
+    ]
+    return [mine - other for mine, other in pairs if mine is not None and other is not None]
 
 
 def beats(ours: Row, theirs: Row) -> bool:
     """Whether intervals do not overlap, on the better side."""
+    if ours["value_ci"] is None or theirs["value_ci"] is None:
+        return False
     (low, high), (other_low, other_high) = ours["value_ci"], theirs["value_ci"]
     return bool(low > other_high if ours["measure"] in MORE_IS_BETTER else high < other_low)
 

@@ -63,12 +63,16 @@ def table(rows: Sequence[dict[str, Any]]) -> list[str]:
         cells = (
             row["scenario"], row["planner"], str(row["episodes"]),
             f"{row['success']:.2f} {_between(row['success_ci'])}", f"{row['collisions']:.2f}",
-            f"{row['measure']} {row['value']:.2f} {_between(row['value_ci'])}{mark}", apart,
+            f"{row['measure']} {_number(row['value'], row['value_ci'])}{mark}", apart,
             f"{row['time']:.1f}", f"{row['stopped_fraction']:.2f}", f"{row['switches']:.1f}",
             "" if step is None else f"{step:.0f}",
         )  # fmt: skip
         out.append(f"| {' | '.join(cells)} |")
     return [*out, "", "\\* fgplan's interval lies wholly on the better side"]
+
+
+def _number(value: float | None, interval: Sequence[float] | None) -> str:
+    return "–" if value is None or interval is None else f"{value:.2f} {_between(interval)}"
 
 
 def _between(interval: Sequence[float]) -> str:
