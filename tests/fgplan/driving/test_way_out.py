@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -129,20 +131,60 @@ def test_what_is_found_is_within_the_limits_and_clear(seed):
     assert np.all(gap >= np.minimum(0.0, gap[0]) - 1e-3)
 
 
-def test_a_planner_takes_it_where_no_plan_is_clear():
-    """Four walk at the robot in a corridor."""
+def test_more_ways_are_followed_where_a_few_all_end():
+    scenario, crowd = moving(0.5, grid=corridor(2.4)), people([2.5, 0.8, -0.4, 0.0])
+    crowd = people([2.5, 0.8, -0.4, 0.0], [2.5, -0.2, -0.4, 0.0], [4.5, -0.8, -0.4, 0.0])
+    assert WayOut(most=(1,)).search(scenario, crowd, onward(scenario)) is None
+    found = WayOut(most=(1, 300)).search(scenario, crowd, onward(scenario))
+    wide = WayOut(most=(300,)).search(scenario, crowd, onward(scenario))
+    np.testing.assert_array_equal(found.states, wide.states)
+
+
+def test_it_ends_when_the_time_is_up():
+    scenario, crowd = moving(), people([4.0, 0.1, -1.3, 0.0])
+    assert WayOut().search(scenario, crowd, onward(scenario), until=0.0) is None
+    assert WayOut().search(scenario, crowd, onward(scenario), until=np.inf) is not None
+
+
+def test_where_all_end_the_longest_is_taken_if_it_is_as_long_as_a_plan():
+    """A wall of people who are slower than the robot comes on, and behind it there is a wall."""
+    scenario = moving(0.0, grid=corridor(2.4))
+    for speed, times in ((-0.6, 5.0), (-1.5, None)):
+        crowd = people(*([2.0, y, speed, 0.0] for y in (-0.9, -0.3, 0.3, 0.9)))
+        found = WayOut(horizon=14.0).search(scenario, crowd, onward(scenario))
+        if times is None:
+            assert found is None
+        else:
+            assert times <= found.times[-1] < 14.0
+
+
+class Nothing:
+    """Looks for a way out, and finds none."""
+
+    def search(self, *_):
+        return None
+
+
+def approached():
+    """Four walk at the robot in a corridor: the scenario, where they are, and how they move."""
     scenario = moving(
         1.0, grid=corridor(2.4), goal=np.array([8.0, 0.0]), crowd="predicted", count=1
     )
-    places = (3.6, 0.2), (3.2, -0.8), (2.1, 0.6), (2.9, 0.6)
-    toward = np.array([-1.3, 0.0])
-    seen = tuple(
-        Detection(np.array(place), str(i), velocity=toward) for i, place in enumerate(places)
-    )
+    places = np.array([(3.6, 0.2), (3.2, -0.8), (2.1, 0.6), (2.9, 0.6)])
+    return scenario, places, np.array([-1.3, 0.0])
+
+
+def seen(places, velocity):
+    return tuple(Detection(place, str(i), velocity=velocity) for i, place in enumerate(places))
+
+
+def test_a_planner_takes_it_where_no_plan_is_clear():
+    scenario, places, toward = approached()
 
     def first(way_out):
         planner = Planner(scenario, Settings(deadline=None, way_out=way_out))
-        return planner.step(Observation(0.0, np.zeros(2), np.array([1.0, 0.0]), detections=seen))
+        robot = np.zeros(2), np.array([1.0, 0.0])
+        return planner.step(Observation(0.0, *robot, detections=seen(places, toward)))
 
     with_it, without = first(WayOut()), first(None)
     assert not with_it.mixture.components[0].feasible
@@ -151,3 +193,20 @@ def test_a_planner_takes_it_where_no_plan_is_clear():
     crowd = people(*([*place, *toward] for place in places))
     others = expected(crowd, scenario.density.times)
     assert check(scenario, with_it.trajectory, others).first_contact == np.inf
+
+
+def test_it_goes_on_while_it_is_clear_where_none_is_found_anew():
+    scenario, places, toward = approached()
+    planner = Planner(scenario, Settings(deadline=None))
+    robot = np.zeros(2), np.array([1.0, 0.0])
+    way = planner.step(Observation(0.0, *robot, detections=seen(places, toward))).trajectory
+    planner.settings = replace(planner.settings, way_out=Nothing())
+    now, place = 0.1, way.at(0.1)
+    later = seen(places + now * toward, toward)
+    decision = planner.step(Observation(now, place[:2], place[2:], detections=later))
+    assert not decision.mixture.components[0].feasible
+    assert decision.action.safe
+    np.testing.assert_allclose(decision.trajectory.at(1.0), way.at(now + 1.0), atol=0.1)
+    planner.settings = replace(planner.settings, way_out=None)
+    without = planner.step(Observation(0.2, *np.split(way.at(0.2), 2), detections=later))
+    assert np.linalg.norm(without.trajectory.at(1.0) - way.at(1.2)) > 0.1
