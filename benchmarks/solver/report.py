@@ -71,7 +71,7 @@ def _exponents(rows: Sequence[Row]) -> Iterator[str]:
             r
             for r in own
             if r["T"] == REFERENCE[1]
-            and (r["solver"].startswith("fgplan, ") or (r["solver"] == "fgplan" and r["n"] > 20))
+            and (r["solver"].endswith(" people/m2") or (r["solver"] == "fgplan" and r["n"] > 20))
         ]
         for key, chosen, where in (
             ("T", along_T, f"n={REFERENCE[0]}"),

@@ -200,3 +200,16 @@ def test_exponents_are_slopes() -> None:
         row["iterations_p50"] = 4.0
     assert exponent(rows, "T") == pytest.approx(1.5)
     assert "fgplan cold, n=10: time ~ T^1.50, per iteration ^1.50" in list(findings(rows))
+
+
+def test_the_exponent_of_n_is_of_one_density_and_of_one_solver() -> None:
+    shared = {"T": 30, "K": 3, "start": "warm", "iterations_p50": 4.0}
+    rows = [
+        {"n": n, "solver": name, "p50_ms": 3.0 * n, **shared}
+        for n, name in (
+            (10, "fgplan, 0.5 people/m2"), (20, "fgplan, 0.5 people/m2"), (50, "fgplan")
+        )
+    ]  # fmt: skip
+    rows += [{"n": n, "solver": "fgplan, numpy", "p50_ms": 7.0, **shared} for n in (0, 5, 10)]
+    said = "fgplan warm, T=30, 0.5 people/m2: time ~ n^1.00, per iteration ^1.00"
+    assert said in list(findings(rows))
