@@ -71,6 +71,8 @@ ROUND_S5 = (
     ("round", "[[2.0, 2.0], [3.4, 14.4], [14.6, 14.4], [16.0, 2.0]]"),
 )
 BLOCKED = "world.people[{}].begins"
+DENSER = "world.people[0].count"
+"""18 people in the 20 m of S4, and three who are about to come in."""
 
 SUITE = (
     Case("s1_corridors", "time", ("fgplan-one-hypothesis",), corridors=ROUND_S1),
@@ -79,6 +81,7 @@ SUITE = (
     Case("s2_trap_unseen", "path_ratio", ("fgplan-one-hypothesis",)),
     Case("s3_twins", "switches", ("fgplan-no-commitment",)),
     Case("s4_counterflow", "stopped_fraction", ("fgplan-predicted", "fgplan-no-contact")),
+    Case("s4_counterflow", "time", ("fgplan-predicted",), ((DENSER, "21"),)),
     Case("s4_counterflow_heedless", "stopped_fraction", ("fgplan-no-way-out", "fgplan-no-contact")),
     Case("s5_aisle", "time", ("fgplan-no-wait",), corridors=ROUND_S5),
     *(
