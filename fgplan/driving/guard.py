@@ -43,7 +43,8 @@ class Tier(IntEnum):
     """No command keeps the margin, but the robot can be at rest before it is touched: of those with
     enough room the one whose contact would come latest, and after it a stop."""
     LATEST_CONTACT = 5
-    """Nothing is clear: the command whose contact comes latest, and is the slightest."""
+    """Nothing is clear: the command whose contact comes latest, and is the slightest; of those that
+    leave room to stop before a wall, if any: people may make way, a wall will not."""
 
 
 @dataclass(frozen=True)
@@ -208,6 +209,7 @@ class Judge:
             (Tier.PASSING, found.keeps),
             (Tier.YIELDING, found.room >= max(most, 0.0)),
             (Tier.PASSING, clear),
+            (Tier.LATEST_CONTACT, found.room > -np.inf),
         ):
             if among.any():
                 return tier, np.flatnonzero(among)
