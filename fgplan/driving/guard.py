@@ -93,8 +93,8 @@ class Guarded:
 @dataclass(frozen=True, eq=False)
 class _Fan:
     """What M commands meet: the smallest gap to a person [m], the first contact [s], the room of
-    a stop after a period (negative where somebody is touched who is where they are expected), and
-    whether the margin is kept; each (M,)."""
+    a stop after a period (negative where somebody is touched who is where they are expected, −inf
+    where a wall is in its way), and whether the margin is kept; each (M,)."""
 
     gap: Array
     contact: Array
@@ -204,16 +204,15 @@ class Judge:
     def _left(self, found: _Fan, clear: Mask) -> tuple[Tier, NDArray[np.intp]]:
         """How safe a command can be where none is clear and stoppable, and which ones are that."""
         most = min(self.settings.sigmas, found.room.max())
-        for tier, among in (
+        tiers = (
             (Tier.AVOIDING, clear & (found.room >= 0)),
             (Tier.PASSING, found.keeps),
             (Tier.YIELDING, found.room >= max(most, 0.0)),
             (Tier.PASSING, clear),
             (Tier.LATEST_CONTACT, found.room > -np.inf),
-        ):
-            if among.any():
-                return tier, np.flatnonzero(among)
-        return Tier.LATEST_CONTACT, np.arange(len(clear))
+            (Tier.LATEST_CONTACT, np.ones_like(clear)),
+        )
+        return next((tier, np.flatnonzero(among)) for tier, among in tiers if among.any())
 
     def _among(self, states: Array, times: Array) -> Judge:
         """The same among those people alone whom M trajectories (M, S, dim), or stops on their

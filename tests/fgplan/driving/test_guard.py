@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from fgplan import CarLike, DifferentialDrive, Holonomic, OccupancyGrid, Robot, Scenario
 from fgplan.crowd import Belief, heading
+from fgplan.driving.following import at_start_of
 from fgplan.driving.guard import Guard, Judge, Tier
 from fgplan.safety import People
 from fgplan.timing import timed
@@ -108,8 +109,9 @@ def test_boxed_in_too_fast_to_stop_it_says_that_nothing_is_clear():
     assert np.isfinite(found.contact)
 
 
+@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(("behind", "speed"), [(0.9, 1.6), (0.9, 1.2), (0.65, 1.2), (1.2, 1.6)])
-def test_chased_into_a_dead_end_it_does_not_run_into_the_wall(behind, speed):
+def test_chased_into_a_dead_end_it_does_not_run_into_the_wall(behind, speed, model):
     """Somebody comes up from behind: of all contacts the one with the wall would be the latest."""
     walls = [
         [(-6.0, 0.4), (3.0, 0.4), (3.0, 0.6), (-6.0, 0.6)],
@@ -117,12 +119,13 @@ def test_chased_into_a_dead_end_it_does_not_run_into_the_wall(behind, speed):
         [(1.3, -0.5), (1.5, -0.5), (1.5, 0.5), (1.3, 0.5)],
     ]
     grid = OccupancyGrid.from_polygons(walls, (-6, -1, 3, 1), 0.05)
-    scenario, tiers = moving(grid=grid), set()
+    robot = Robot(np.zeros(2), np.array([1.0, 0.0]), heading=0.0, model=model)
+    scenario, tiers = Scenario(robot, grid=grid), set()
     for k in range(16):
         found = guarded(scenario, belief([speed * k * PERIOD - behind, 0.0, speed, 0.0]))
         tiers.add(found.tier)
-        state = found.trajectory.at(PERIOD)
-        robot = replace(scenario.robot, position=state[:2], velocity=state[2:])
+        after = found.trajectory.resampled(found.trajectory.times[found.step :])
+        robot = at_start_of(after, robot)
         scenario = scenario.replace(robot=robot)
         assert grid.clearance(robot.position[None], robot.radius)[0] >= -1e-6
     assert Tier.LATEST_CONTACT in tiers
