@@ -172,7 +172,7 @@ class Ridge(Residual):
     dims, rows = (1,), 1
 
     def linearize(self, *x: Any) -> Any:
-        raise NotImplementedError
+        raise TypeError("it is no square")
 
     def energy(self, *x: Any) -> Any:
         return (0.25 * x[0] ** 4 - x[0] ** 2 + 1)[..., 0]
