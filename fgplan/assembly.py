@@ -21,6 +21,7 @@ from fgplan.backend import Backend, fastest
 from fgplan.block_tridiagonal import Chains, System, chunks, solve_each
 from fgplan.model import Model, Term
 from fgplan.shear import Shear
+from fgplan.systems import Systems
 from fgplan.wiring import Wired, interleaved, wire, wire_user
 
 Array = NDArray[np.float64]
@@ -148,7 +149,7 @@ class Quadratic:
         curvature."""
         assembly = self._assembly
         if not self._far:
-            return assembly.backend.steps(assembly.chains, assembly.row[which], parts, gradient)
+            return assembly.systems(assembly.row[which], parts, gradient)
         steps, definite = np.empty_like(gradient), np.empty(len(which), dtype=bool)
         far = [(places, part[rows]) for places, part in self._far]
         for here in chunks(len(which), gradient[0].size * gradient.shape[-1]):
@@ -288,6 +289,11 @@ class Assembly:
         return Chains.of(self._held_diagonal, self._held_upper, self.order, self.linked)
 
     @cached_property
+    def systems(self) -> Systems:
+        """What solves for steps."""
+        return self.backend.systems(self.chains)
+
+    @cached_property
     def dimension(self) -> int:
         """Number of free scalar variables."""
         return int(self.free.sum())
@@ -329,13 +335,14 @@ class Assembly:
                 return self.energy(there, which[rows])
 
             return along_the_curve
-        slope = _dot(q.linear_gradient, step)
-        curvature = _dot(self.times(step, which), step)
 
         def energies(s: Array, rows: Index) -> Array:
+            d = step[rows]
+            slope = _dot(q.linear_gradient[rows], d)
+            curvature = _dot(self.times(d, which[rows]), d)
             with np.errstate(over="ignore", invalid="ignore"):
-                linear = q.linear_energy[rows] + s * slope[rows] + 0.5 * s**2 * curvature[rows]
-                at = X[rows] + s[..., None, None] * step[rows]
+                linear = q.linear_energy[rows] + s * slope + 0.5 * s**2 * curvature
+                at = X[rows] + s[..., None, None] * d
                 return np.asarray(linear + self.potentials(at))
 
         return energies

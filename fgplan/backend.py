@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from factors.pairwise import PredictedPairs, Together
-from fgplan.block_tridiagonal import Chains, chunks
+from fgplan.block_tridiagonal import Chains
 from fgplan.model import Term
-from fgplan.wiring import Wired
+from fgplan.systems import Systems, banded
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -71,19 +71,11 @@ class Backend(Protocol):
         blocks (S, D, D) and (S − 1, D, D)."""
         ...
 
-    def steps(
-        self, chains: Chains, rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
-    ) -> tuple[Array, Mask]:
-        """Newton steps −H⁻¹ g of B systems.
+    def systems(self, chains: Chains) -> Systems:
+        """What solves systems of which a part is constant.
 
         Args:
-            chains: The constant part of the Hessians.
-            rows: Which of them each system has, shape (B,).
-            parts: The other parts of the Hessians: terms with their blocks (B, steps, s, s).
-            gradient: g, shape (B, S, D).
-
-        Returns:
-            The steps (B, S, D), zero where H is not positive definite, and where it is (B,).
+            chains: The constant parts of the Hessians.
         """
         ...
 
@@ -117,16 +109,8 @@ class Numpy:
 
         return times
 
-    def steps(
-        self, chains: Chains, rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
-    ) -> tuple[Array, Mask]:
-        steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
-        for here in chunks(len(rows), chains.data[0].size):
-            band = chains.take(rows[here])
-            for wired, part in parts:
-                wired.add_lower(part[here], band)
-            steps[here], definite[here] = band.solve(-gradient[here])
-        return steps, definite
+    def systems(self, chains: Chains) -> Systems:
+        return banded(chains)
 
 
 @lru_cache(maxsize=1)

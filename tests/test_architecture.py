@@ -39,6 +39,7 @@ RANKS = [
     {"shared_control"},
     {"model"},
     {"wiring"},
+    {"systems"},
     {"compiled"},
     {"backend"},
     {"assembly"},

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import DENSE, World, smooth
-from benchmarks.solver.peers import PEERS, Native, Peer, floor
+from benchmarks.solver.peers import FLOORS, PEERS, Native, Peer, floor
 from benchmarks.solver.problem import Problem, cold, warm
 from fgplan.hypothesis import Start
 from fgplan.planner import plan
@@ -194,12 +194,13 @@ def _add_floor(
 ) -> None:
     """What `fgplan` would take if everything but the linear systems were free."""
     ends = SecondOrder().solve(problem.assembly, problem.initial, problem.which)
-    for which, end in zip(problem.which.tolist(), ends, strict=True):
-        if end.converged:
-            one = floor(problem, end.state, which, clock)
+    pairs = zip(problem.which.tolist(), ends, strict=True)
+    converged = [(end.state, which) for which, end in pairs if end.converged]
+    for name, backend in FLOORS.items():
+        for state, which in converged[:1]:
+            one = floor(problem, state, which, backend, clock)
             reached = replace(sample, seconds=sample.iterations * one)
-            records["floor", start].samples.append(reached)
-            return
+            records[name, start].samples.append(reached)
 
 
 def _plan_both(size: Size, seed: int, records: Records, clock: Clock) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.solver import ipopt, whitened
 from benchmarks.solver.problem import Problem
-from fgplan.backend import Backend, Numpy
+from fgplan.backend import Backend, Numpy, fastest
 from fgplan.block_tridiagonal import Chains
 from fgplan.solver import GtsamLM, SecondOrder, Solver
 
@@ -121,23 +121,27 @@ GTSAM = Native("GTSAM LM", GtsamLM(), most_people=20)
 PEERS: tuple[Peer, ...] = (Native(), NUMPY, GTSAM, Ipopt(), Ipopt(gated=True), Whitened())
 
 
+FLOORS: dict[str, Backend] = {"floor": fastest(), "floor, LAPACK": Numpy()}
+"""What factorises: the kernels that the solver uses, and a library's."""
+
+
 def floor(
     problem: Problem,
     state: Array,
     which: int,
+    backend: Backend,
     clock: Callable[[], float] = perf_counter,
     repeat: int = 5,
 ) -> float:
-    """One banded factorisation and solve at an optimum (T + 1, D) [s], with the kernels that the
-    solver uses: least of a few."""
+    """One banded factorisation and solve at an optimum (T + 1, D) [s]: least of a few."""
     assembly = problem.assembly
     q = assembly.expand(state[None], np.array([which]))
     hessian = q.hessian(np.zeros(1, dtype=np.intp))
-    chains = Chains.of(*hessian, assembly.order, assembly.linked)
+    steps = backend.systems(Chains.of(*hessian, assembly.order, assembly.linked))
     seconds = []
     for _ in range(repeat):
         began = clock()
-        _, definite = assembly.backend.steps(chains, np.zeros(1, dtype=np.intp), (), q.gradient)
+        _, definite = steps(np.zeros(1, dtype=np.intp), (), q.gradient)
         seconds.append(clock() - began)
         assert definite.all()
     return min(seconds)

@@ -22,6 +22,7 @@ COLOURS = {  # Okabe and Ito's, told apart by the colour-blind
     "CasADi + IPOPT, gated": "#CC79A7",
     "whitened L-BFGS": "#009E73",
     "floor": "#000000",
+    "floor, LAPACK": "#999999",
 }
 
 
@@ -56,8 +57,8 @@ def _ratios(rows: Sequence[Row], size: tuple[int, int, int]) -> Iterator[str]:
         if at != size or name not in COLOURS or name == "fgplan":
             continue
         where = f"n={size[0]} T={size[1]} K={size[2]} {row['start']}"
-        if name == "floor":
-            yield f"{where}: fgplan / floor = {1 / row['times_fgplan']:.1f}"
+        if name.startswith("floor"):
+            yield f"{where}: fgplan / {name} = {1 / row['times_fgplan']:.1f}"
         else:
             yield f"{where}: {name} / fgplan = {row['times_fgplan']:.1f}"
 

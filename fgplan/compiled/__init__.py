@@ -12,19 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.block_tridiagonal import Chains, chunks
-from fgplan.compiled import band, conjugate, limits, pairs
+from fgplan.compiled import conjugate, limits, pairs, products, tiles
 from fgplan.model import Term
+from fgplan.systems import Systems
 from fgplan.wiring import Wired
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 Product = Callable[[Array], Array]
-
-
-WIDEST = 120
-"""Width of a band up to which the kernel was measured to be faster than LAPACK, whose blocks fit a
-smaller part of the cache."""
 
 
 class Compiled:
@@ -41,24 +37,27 @@ class Compiled:
 
         def times(d: Array) -> Array:
             product = np.zeros_like(d)
-            band.multiply(*entries, own, links, d, product)
+            products.multiply(*entries, own, links, d, product)
             return product
 
         return times
 
-    def steps(
-        self, chains: Chains, rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
-    ) -> tuple[Array, Mask]:
-        steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
-        size = len(chains.order)
-        for here in chunks(len(rows), chains.data[0].size):
-            systems = chains.data[rows[here]]
-            for wired, part in parts:
-                first, stride = wired.first.start * size, (wired.first.step or 1) * size
-                band.add(systems, part[here], first, stride, wired.places)
-            if systems.shape[-1] <= WIDEST:
-                band.solve(systems, gradient[here], chains.order, steps[here], definite[here])
-            else:
-                wide = Chains(systems, chains.order)
-                steps[here], definite[here] = wide.solve(-gradient[here])
-        return steps, definite
+    def systems(self, chains: Chains) -> Systems:
+        constant, size = tiles.laid(chains.data), len(chains.order)
+        some = next(chunks(1, constant[0].size)).stop
+        room = tiles.room(some, *chains.data.shape[1:])
+
+        def steps(
+            rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
+        ) -> tuple[Array, Mask]:
+            steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
+            for here in chunks(len(rows), constant[0].size):
+                H = room[: len(rows[here])]
+                np.take(constant, rows[here], axis=0, out=H, mode="clip")
+                for wired, part in parts:
+                    first, stride = wired.first.start * size, (wired.first.step or 1) * size
+                    tiles.add(H, part[here], first, stride, wired.places)
+                tiles.solve(H, gradient[here], chains.order, steps[here], definite[here])
+            return steps, definite
+
+        return steps

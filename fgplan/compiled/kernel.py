@@ -10,9 +10,12 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from numba import njit, types
+from numba.core.compiler import Compiler
 
 F = TypeVar("F", bound=Callable[..., Any])
 INT, FLOAT, BOOL = types.intp, types.float64, types.boolean
+REORDERED = {"contract", "reassoc", "nsz", "arcp"}
+"""What may be done to sums and products: NaN and inf still count."""
 
 
 class Decorator(Protocol):
@@ -42,11 +45,25 @@ def exact(*arguments: Any) -> Decorator:
 
 def reordered(*arguments: Any) -> Decorator:
     """The same with sums in any order, so that they are vectorised."""
-    return _compiled(arguments, {"contract", "reassoc", "nsz", "arcp"})  # NaN and inf still count
+    return _compiled(arguments, REORDERED)
 
 
-def _compiled(arguments: tuple[Any, ...], fastmath: Any) -> Decorator:
-    options = {"error_model": "numpy", "fastmath": fastmath}
+def apart() -> Decorator:
+    """The same for a kernel that others call, no two of whose arrays share memory that is written:
+    otherwise every loop begins with finding out whether they do."""
+    return _compiled((), REORDERED, pipeline_class=_Apart)
+
+
+class _Apart(Compiler):  # type: ignore[misc]
+    """numba's compiler with a flag that `njit` does not offer."""
+
+    def define_pipelines(self) -> Any:
+        self.state.flags.noalias = True
+        return super().define_pipelines()
+
+
+def _compiled(arguments: tuple[Any, ...], fastmath: Any, **more: Any) -> Decorator:
+    options = {"error_model": "numpy", "fastmath": fastmath, **more}
     if not arguments:
         inner: Decorator = njit(**options)
         return inner

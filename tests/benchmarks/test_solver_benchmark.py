@@ -15,7 +15,7 @@ from benchmarks.solver import whitened
 from benchmarks.solver.__main__ import main
 from benchmarks.solver.ipopt import Program
 from benchmarks.solver.measure import TWELVE, Size, sizes, twelve
-from benchmarks.solver.peers import PEERS, floor
+from benchmarks.solver.peers import FLOORS, PEERS, floor
 from benchmarks.solver.problem import Problem, cold, warm
 from benchmarks.solver.report import exponent, findings
 from fgplan import OccupancyGrid, SecondOrder
@@ -103,7 +103,8 @@ def test_all_peers_find_the_one_optimum_of_open_space() -> None:
 def test_floor_is_a_time() -> None:
     _, problem = small()
     end = SecondOrder().solve(problem.assembly, problem.initial[:1], problem.which[:1])[0]
-    assert 0 < floor(problem, end.state, int(problem.which[0])) < 1
+    for backend in FLOORS.values():
+        assert 0 < floor(problem, end.state, int(problem.which[0]), backend) < 1
 
 
 def test_scenes_are_valid_and_repeat() -> None:
@@ -158,7 +159,7 @@ def test_json_alone_on_standard_output(capsys: pytest.CaptureFixture[str], tmp_p
         raise AssertionError(f"{constant} is no JSON")
 
     rows = json.loads(captured.out, parse_constant=refuse)
-    names = {peer.name for peer in PEERS} | {"floor", "fgplan.plan"}
+    names = {peer.name for peer in PEERS} | {*FLOORS, "fgplan.plan"}
     assert {(row["solver"], row["start"]) for row in rows} == {
         (name, start) for name in names for start in ("cold", "warm")
     }
