@@ -315,7 +315,7 @@ ROUNDING = 1e-12
 """Relative error of an energy."""
 FULL_STEP = 0.5
 """A full step is taken when it brings this share of what it promised."""
-LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0)
+LENGTHS = (0.25, 0.5, 2.0, 4.0)
 SHORT_LENGTHS = (2.0**-20, 2.0**-16, 2.0**-12, 2.0**-8, 2.0**-6, 2.0**-4)
 """The shortest cross a hinge that is off by a hair: once it is on, the next step knows it."""
 LONG_LENGTHS = (4.0, 16.0, 64.0)
