@@ -41,7 +41,8 @@ class Fgplan:
         crowd: What people do in the density; None is what the scenario says.
         count: Global plans at most; None is what the scenario says.
         density: Parameters of the density to change, by name.
-        settings: Of the planner; period, lag and tolerance are those of the world.
+        settings: Of the planner; period, lag and tolerance are those of the world, and the
+            guard's margin where the world has one.
     """
 
     crowd: Literal["joint", "predicted"] | None = None
@@ -56,8 +57,10 @@ class Fgplan:
         if self.count is not None:
             scenario = scenario.replace(count=self.count)
         scenario = scenario.replace(density=replace(scenario.density, **self.density))
+        guard, clearance = self.settings.guard, world.rules.clearance
         settings = replace(
             self.settings,
+            guard=guard if clearance is None else replace(guard, margin=clearance),
             period=world.rules.period,
             lag=0.0 if np.isinf(world.limits.max_acceleration) else 0.5,
             # The run ends at the tolerance: nearer, the planner would stop before it.

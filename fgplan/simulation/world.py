@@ -32,6 +32,8 @@ class Rules:
         tolerance: The goal is reached when the robot is nearer than this [m].
         contact_ends: Whether a contact with a person ends the run.
         discomfort: A person whose edge is nearer than this feels uneasy [m].
+        clearance: From people, that a robot is to keep where it can [m]; None leaves it to the
+            planner (`fgplan.driving.Guard.margin`).
         seen_by_people: Whether people see the robot.
         slows_down: Whether ORCA's wish shrinks within a second of the goal, as CrowdNav's does.
         gap: What counts as the distance of robot and people during a substep.
@@ -43,6 +45,7 @@ class Rules:
     tolerance: float = 0.3
     contact_ends: bool = False
     discomfort: float = 0.2
+    clearance: float | None = None
     seen_by_people: bool = True
     slows_down: bool = True
     gap: Gap = moved

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fgplan.driving import Observation
+from fgplan.driving import Observation, Settings
+from fgplan.driving.guard import Guard
 from fgplan.occupancy import OccupancyGrid
 from fgplan.simulation.body import Limits
+from fgplan.simulation.driver import Fgplan
 from fgplan.simulation.episode import run
 from fgplan.simulation.metrics import bootstrap, paired, row, summary, switches, wilson
 from fgplan.simulation.peers import Straight
@@ -68,6 +72,15 @@ def test_contact_ends_the_run_where_the_rules_say_so() -> None:
     assert episode.end == "collision"
     assert episode.times[-1] == pytest.approx(1.4, abs=0.11)
     assert not row(episode)["success"]
+
+
+@pytest.mark.parametrize(("clearance", "margin"), [(None, 0.25), (0.4, 0.4)])
+def test_the_guard_asks_for_the_clearance_of_the_world(
+    clearance: float | None, margin: float
+) -> None:
+    own = Settings(deadline=None, guard=Guard(margin=0.25))
+    driver = Fgplan(settings=own)(world(rules=Rules(clearance=clearance)))
+    assert driver.planner.settings.guard == replace(own.guard, margin=margin)
 
 
 def test_who_stands_is_stopped_and_late() -> None:
