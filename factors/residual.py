@@ -153,7 +153,7 @@ class Linear(Residual):
 
     def gauss_newton(self, *x: Array) -> Expansion:
         e, J = self.error(*x), self._J
-        curvature = np.broadcast_to(self._information, (*e.shape[:-1], *self._information.shape))
+        curvature = np.broadcast_to(self.information, (*e.shape[:-1], *self.information.shape))
         return Expansion(0.5 * np.einsum("...i,...i->...", e, e), e @ J, curvature)
 
     @cached_property
@@ -161,7 +161,8 @@ class Linear(Residual):
         return np.concatenate(self.A, axis=1)
 
     @cached_property
-    def _information(self) -> Array:
+    def information(self) -> Array:
+        """Its Hessian, wherever it is: Jᵀ J, shape (s, s)."""
         return self._J.T @ self._J
 
     def at(self, step: int) -> Linear:

@@ -257,20 +257,20 @@ class Assembly:
                 part = term.residual.gauss_newton(*wired.variables(self.reference))
                 self.constant += part.energy.sum(-1)
                 wired.add_gradient(part.gradient, self.gradient)
-                wired.add_hessian(part.hessian[:1], self._diagonal, self._upper)
+                wired.add_constant(term.residual.information, self._diagonal, self._upper)
         for i, model in enumerate(self.models):
             row = self.row[i]
+            chain = self._diagonal[row : row + 1], self._upper[row : row + 1]
             for term in model.own:
+                assert isinstance(term.residual, Linear)  # or there is no assembly
                 wired = wire(term, columns, self.order)
                 part = term.residual.gauss_newton(*wired.variables(model.reference))
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:
-                    wired.add_hessian(part.hessian, self._diagonal[row], self._upper[row])
+                    wired.add_constant(term.residual.information, *chain)
         blocks = zip(self._diagonal, self._upper, strict=True)
         self._products = [self.backend.product(*each) for each in blocks]
-        self._held_diagonal, self._held_upper = self._diagonal.copy(), self._upper.copy()
-        self.hold_fixed(self._held_diagonal, self._held_upper)
 
     @cached_property
     def linked(self) -> NDArray[np.bool_]:
@@ -286,7 +286,8 @@ class Assembly:
     @cached_property
     def chains(self) -> Chains:
         """The constant Hessians in a band that has room for all that is not far."""
-        return Chains.of(self._held_diagonal, self._held_upper, self.order, self.linked)
+        held = self.held_hessian(np.unique(self.row, return_index=True)[1])
+        return Chains.of(*held, self.order, self.linked)
 
     @cached_property
     def systems(self) -> Systems:
@@ -377,6 +378,12 @@ class Assembly:
             product[rows == i] = self._products[i](flat[rows == i])
         return product.reshape(d.shape)
 
+    @property
+    def constant_hessians(self) -> tuple[Array, Array]:
+        """Blocks (K, S, D, D) and (K, S − 1, D, D), of which `row` says whose each is; not to be
+        written."""
+        return self._diagonal, self._upper
+
     def linear_hessian(self, which: Index) -> tuple[Array, Array]:
         """Copies of the constant Hessian blocks, one per hypothesis asked for."""
         rows = self.row[which]
@@ -384,8 +391,9 @@ class Assembly:
 
     def held_hessian(self, which: Index) -> tuple[Array, Array]:
         """The same with `hold_fixed` applied."""
-        rows = self.row[which]
-        return self._held_diagonal[rows], self._held_upper[rows]
+        diagonal, upper = self.linear_hessian(which)
+        self.hold_fixed(diagonal, upper)
+        return diagonal, upper
 
     def hold_fixed(self, diagonal: Array, upper: Array) -> None:
         """A state known without error does not move: unit curvature, no link to others."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.pairwise import PairTerm
-from fgplan.assembly import Assembly, Quadratic, clamped
+from fgplan.assembly import Assembly, Quadratic, clamped, hold
 from fgplan.backend import Pairwise
 from fgplan.block_tridiagonal import Chains
 from fgplan.wiring import BAND, PERSON, Wired, wire
@@ -82,7 +82,7 @@ class Layout:
         person = crowd.start + np.arange(crowd.stop - crowd.start).reshape(2, n, 2)
         person = person.transpose(1, 2, 0).reshape(n, PERSON)
         rest = np.setdiff1d(np.arange(D), person)
-        diagonal, upper = assembly.held_hessian(np.unique(assembly.row, return_index=True)[1])
+        diagonal, upper = assembly.constant_hessians
         if not _apart(diagonal, upper, person, rest):
             return None
         place = {int(column): at for at, column in enumerate(rest)}
@@ -96,6 +96,9 @@ class Layout:
             (wired, replace(wire(term, columns, order), held=wired.held)) for term, wired in rest_of
         ]
         free = assembly.free.astype(float)
+        of_people = np.ascontiguousarray(free[:, person].transpose(0, 2, 1).reshape(-1, n))
+        chain = diagonal[:, :, rest[:, None], rest], upper[:, :, rest[:, None], rest]
+        hold(assembly.free[:, rest], *chain)
         return cls(
             solver,
             pairs,
@@ -103,10 +106,10 @@ class Layout:
             tuple(others),
             person,
             rest,
-            _bands(diagonal, upper, person),
-            Chains.of(diagonal[:, :, rest[:, None], rest], upper[:, :, rest[:, None], rest]),
+            _held(_bands(diagonal, upper, person), of_people),
+            Chains.of(*chain),
             len(rest) * np.arange(S) + place[robot.start],
-            np.ascontiguousarray(free[:, person].transpose(0, 2, 1).reshape(-1, n)),
+            of_people,
             free[:, rest].reshape(-1, 1),
         )
 
@@ -244,3 +247,12 @@ def _bands(diagonal: Array, upper: Array, person: Index) -> Array:
             if PERSON + b - a < BAND:
                 bands[:, :-1, a, PERSON + b - a] = upper[:, :, row, column]
     return bands.reshape(K, S * PERSON, BAND, len(person))
+
+
+def _held(bands: Array, free: Array) -> Array:
+    """Chains (K, rows, BAND, n) in which what is not free (rows, n) has unit curvature and no
+    link."""
+    bands[:, :, 0] = np.where(free, bands[:, :, 0], 1.0)
+    for o in range(1, BAND):
+        bands[:, :-o, o] *= free[:-o] * free[o:]
+    return bands
