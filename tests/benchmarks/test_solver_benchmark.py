@@ -18,6 +18,7 @@ from benchmarks.solver.measure import TWELVE, Size, sizes, twelve
 from benchmarks.solver.peers import FLOORS, PEERS, floor
 from benchmarks.solver.problem import Problem, cold, warm
 from benchmarks.solver.report import exponent, findings
+from benchmarks.solver.shares import PARTS, shares
 from fgplan import OccupancyGrid, SecondOrder
 from fgplan.validation import validate
 
@@ -98,6 +99,13 @@ def test_all_peers_find_the_one_optimum_of_open_space() -> None:
     lowest = problem.energies(ends[0])
     for end in ends[1:]:
         assert problem.energies(end) == pytest.approx(lowest, abs=1e-7)
+
+
+def test_every_part_of_a_plan_is_met() -> None:
+    pytest.importorskip("numba")
+    found = shares(Size(3, 8, 2), scenes=1)
+    assert set(found) == set(PARTS)
+    assert 0 < min(found.values()) < max(found.values()) == found["everything"]
 
 
 def test_floor_is_a_time() -> None:
