@@ -85,9 +85,14 @@ class System(NamedTuple):
         )
 
 
+def at_once(size: int) -> int:
+    """How many systems of so many numbers `CHUNK` has room for, at least one."""
+    return max(1, CHUNK // size)
+
+
 def chunks(count: int, size: int) -> Iterator[slice]:
-    """As many of `count` systems of so many numbers at once as `CHUNK` has room for."""
-    some = max(1, CHUNK // size)
+    """As many of `count` systems of so many numbers at once as there is room for."""
+    some = at_once(size)
     for at in range(0, count, some):
         yield slice(at, at + some)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.block_tridiagonal import Chains, chunks
+from fgplan.block_tridiagonal import Chains, at_once, chunks
 from fgplan.compiled import conjugate, limits, pairs, products, tiles
 from fgplan.model import Term
 from fgplan.systems import Systems
@@ -44,8 +44,8 @@ class Compiled:
 
     def systems(self, chains: Chains) -> Systems:
         constant, size = tiles.laid(chains.data), len(chains.order)
-        some = next(chunks(1, constant[0].size)).stop
-        room = tiles.room(some, *chains.data.shape[1:])
+        # What is laid out is overwritten: one call at a time.
+        room = tiles.room(at_once(constant[0].size), *chains.data.shape[1:])
 
         def steps(
             rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array

@@ -32,7 +32,7 @@ from tests.scenes import CORRIDOR, ONE, STACK, believed, dense, jittered, random
 pytest.importorskip("numba")
 from fgplan.compiled import Compiled
 from fgplan.compiled.kernel import exact, result
-from fgplan.compiled.tiles import PANEL, add, laid, shape, solve
+from fgplan.compiled.tiles import PANEL, add, laid, room, shape, solve
 
 STEPS = 4
 seeds = st.integers(0, 2**32 - 1)
@@ -316,6 +316,14 @@ def test_narrow_and_wide_bands_have_the_steps_of_numpy(D):
     assert_array_equal(definite, also)
     assert definite.tolist() == [True, False, True]
     assert_allclose(step, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_tiles_begin_where_a_register_is_loaded_at_once():
+    for count, rows, width in ((1, 10, 5), (3, 17, 9)):
+        tiles = room(count, rows, width)
+        assert tiles.shape == (count, *shape(rows, width))
+        assert tiles.ctypes.data % 64 == 0
+        assert tiles.flags.c_contiguous
 
 
 def test_blocks_are_added_where_the_chain_has_them():
