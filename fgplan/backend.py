@@ -41,7 +41,6 @@ class Pairwise(Protocol):
         i: Index,
         j: Index,
         robot: Index,
-        free: Array,
         free_own: Array,
         forcing: float,
         most: int,

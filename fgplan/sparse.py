@@ -48,7 +48,7 @@ class Layout:
         people: Constant Hessians of people, shape (K, 4S, BAND, n).
         chains: Constant Hessians of the others.
         robot: Row of the robot's position at each step in its chain, shape (S,).
-        free, free_rest: 1 where a coordinate may move, else 0, shapes (4S, n) and (RS, 1).
+        free_rest: 1 where a coordinate of the others may move, else 0, shape (RS, 1).
     """
 
     solver: Pairwise
@@ -60,7 +60,6 @@ class Layout:
     people: Array
     chains: Chains
     robot: Index
-    free: Array
     free_rest: Array
 
     @classmethod
@@ -83,7 +82,8 @@ class Layout:
         person = person.transpose(1, 2, 0).reshape(n, PERSON)
         rest = np.setdiff1d(np.arange(D), person)
         diagonal, upper = assembly.constant_hessians
-        if not _apart(diagonal, upper, person, rest):
+        # A person who is known without error would have to be held.
+        if not (assembly.free[:, person].all() and _apart(diagonal, upper, person, rest)):
             return None
         place = {int(column): at for at, column in enumerate(rest)}
         columns = {
@@ -95,10 +95,9 @@ class Layout:
         others = [
             (wired, replace(wire(term, columns, order), held=wired.held)) for term, wired in rest_of
         ]
-        free = assembly.free.astype(float)
-        of_people = np.ascontiguousarray(free[:, person].transpose(0, 2, 1).reshape(-1, n))
         chain = diagonal[:, :, rest[:, None], rest], upper[:, :, rest[:, None], rest]
-        hold(assembly.free[:, rest], *chain)
+        free = assembly.free[:, rest]
+        hold(free, *chain)
         return cls(
             solver,
             pairs,
@@ -106,11 +105,10 @@ class Layout:
             tuple(others),
             person,
             rest,
-            _held(_bands(diagonal, upper, person), of_people),
+            _bands(diagonal, upper, person),
             Chains.of(*chain),
             len(rest) * np.arange(S) + place[robot.start],
-            of_people,
-            free[:, rest].reshape(-1, 1),
+            free.astype(float).reshape(-1, 1),
         )
 
 
@@ -193,7 +191,6 @@ class Sparse(Quadratic):
             layout.term.i,
             layout.term.j,
             layout.robot,
-            layout.free,
             layout.free_rest,
             forcing,
             most,
@@ -247,12 +244,3 @@ def _bands(diagonal: Array, upper: Array, person: Index) -> Array:
             if PERSON + b - a < BAND:
                 bands[:, :-1, a, PERSON + b - a] = upper[:, :, row, column]
     return bands.reshape(K, S * PERSON, BAND, len(person))
-
-
-def _held(bands: Array, free: Array) -> Array:
-    """Chains (K, rows, BAND, n) in which what is not free (rows, n) has unit curvature and no
-    link."""
-    bands[:, :, 0] = np.where(free, bands[:, :, 0], 1.0)
-    for o in range(1, BAND):
-        bands[:, :-o, o] *= free[:-o] * free[o:]
-    return bands

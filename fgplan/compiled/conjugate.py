@@ -174,13 +174,57 @@ def _keep(x: Array, free: Array) -> None:
             x[r, q] *= free[r, q]
 
 
+@reordered()
+def _conjugate(
+    H: Array, H_own: Array, pairs: Index, curves: Array, i: Index, j: Index, robot: Index,
+    free_own: Array, M: Array, M_own: Array, r: Array, r_own: Array, forcing: float, most: int,
+    x: Array, x_own: Array,
+) -> tuple[bool, int]:  # fmt: skip
+    """Steps x, x_own, which are 0, from what is left of the gradient, r and r_own, and factors of
+    the preconditioner; whether no direction curved downwards, and how many were tried."""
+    z, z_own = r.copy(), r_own.copy()
+    _solve(M, z)
+    _solve(M_own, z_own)
+    _keep(z_own, free_own)
+    d, d_own = z.copy(), z_own.copy()
+    y, y_own = np.empty_like(x), np.empty_like(x_own)
+    rz = _dot(r, z) + _dot(r_own, z_own)
+    enough, products = min(forcing, sqrt(rz)) ** 2 * rz, 0
+    if not rz < np.inf:
+        return False, 0
+    while products < most and rz > enough:
+        products += 1
+        _multiply(H, d, y)
+        _multiply(H_own, d_own, y_own)
+        _add_pairs(pairs, curves, i, j, robot, d, d_own, y, y_own)
+        _keep(y_own, free_own)
+        curvature = _dot(d, y) + _dot(d_own, y_own)
+        if not curvature > 0:
+            if products == 1:
+                x[:], x_own[:] = d, d_own
+            return False, products
+        share = rz / curvature
+        _along(x, share, d)
+        _along(x_own, share, d_own)
+        _along(r, -share, y)
+        _along(r_own, -share, y_own)
+        z[:], z_own[:] = r, r_own
+        _solve(M, z)
+        _solve(M_own, z_own)
+        _keep(z_own, free_own)
+        after = _dot(r, z) + _dot(r_own, z_own)
+        _onto(d, after / rz, z)
+        _onto(d_own, after / rz, z_own)
+        rz = after
+    return True, products
+
+
 _CHAINS = (given(4), given(1, INT), given(4), given(4))
 _PAIRS = (given(4), INT, INT, given(1, INT), given(1, INT), given(1, INT))
-_FREE = (given(2), given(2))
 
 
 @reordered(
-    *_CHAINS, *_PAIRS, *_FREE, FLOAT, INT, result(3), result(3), result(1, BOOL), result(1, INT)
+    *_CHAINS, *_PAIRS, given(2), FLOAT, INT, result(3), result(3), result(1, BOOL), result(1, INT)
 )
 def newton(
     people: Array,
@@ -193,7 +237,6 @@ def newton(
     i: Index,
     j: Index,
     robot: Index,
-    free: Array,
     free_own: Array,
     forcing: float,
     most: int,
@@ -213,7 +256,7 @@ def newton(
         first, stride: Time steps of these.
         i, j: Bodies of each pair, the robot being 0, shape (P,).
         robot: Row of the robot's position in its chain at each time step, shape (S,).
-        free, free_own: 1 where a coordinate may move, else 0: shapes (4S, n) and (rows, 1).
+        free_own: 1 where a coordinate of that chain may move, else 0, shape (rows, 1); people may.
         forcing: The residual of a step is at most this share of the gradient, and its square root
             where that is less, in the norm of the preconditioner.
         most: Products at most.
@@ -228,47 +271,12 @@ def newton(
         pairs, curves = near[:count], kept[:count]
         M, M_own = people[row[b]].copy(), cushion[b].copy()
         _cushion(pairs, curves, i, j, robot, M, M_own)
-        H, H_own, x, x_own = people[row[b]], own[b], step[b], step_own[b]
-        definite[b], products[b] = False, 0
-        if not (_factorise(M) and _factorise(M_own)):
-            x[:], x_own[:] = 0.0, 0.0
-            continue
+        x, x_own = step[b], step_own[b]
         r, r_own = -x, -x_own
         x[:], x_own[:] = 0.0, 0.0
-        z, z_own = r.copy(), r_own.copy()
-        _solve(M, z)
-        _solve(M_own, z_own)
-        _keep(z, free)
-        _keep(z_own, free_own)
-        d, d_own = z.copy(), z_own.copy()
-        y, y_own = np.empty_like(x), np.empty_like(x_own)
-        rz = _dot(r, z) + _dot(r_own, z_own)
-        enough = min(forcing, sqrt(rz)) ** 2 * rz
-        definite[b] = rz < np.inf
-        while definite[b] and products[b] < most and rz > enough:
-            products[b] += 1
-            _multiply(H, d, y)
-            _multiply(H_own, d_own, y_own)
-            _add_pairs(pairs, curves, i, j, robot, d, d_own, y, y_own)
-            _keep(y, free)
-            _keep(y_own, free_own)
-            curvature = _dot(d, y) + _dot(d_own, y_own)
-            if not curvature > 0:
-                definite[b] = False
-                if products[b] == 1:
-                    x[:], x_own[:] = d, d_own
-                break
-            share = rz / curvature
-            _along(x, share, d)
-            _along(x_own, share, d_own)
-            _along(r, -share, y)
-            _along(r_own, -share, y_own)
-            z[:], z_own[:] = r, r_own
-            _solve(M, z)
-            _solve(M_own, z_own)
-            _keep(z, free)
-            _keep(z_own, free_own)
-            after = _dot(r, z) + _dot(r_own, z_own)
-            _onto(d, after / rz, z)
-            _onto(d_own, after / rz, z_own)
-            rz = after
+        definite[b], products[b] = False, 0
+        if _factorise(M) and _factorise(M_own):
+            definite[b], products[b] = _conjugate(
+                people[row[b]], own[b], pairs, curves, i, j, robot, free_own,
+                M, M_own, r, r_own, forcing, most, x, x_own,
+            )  # fmt: skip
