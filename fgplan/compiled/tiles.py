@@ -3,8 +3,8 @@
 A band is cut into tiles of as many columns as a vector register has numbers. A tile (PANEL, length)
 holds each of its columns from the same row on, that of its first: whatever is taken from a column
 is then at the same place in its tile, at a whole number of registers, and one load serves two
-columns. The factorisation is L D Lᵀ, that needs no roots, a tile at a time: bands 30 to 60 wide
-take 1.6 times as long column by column, and 2.7 times as long by LAPACK's `dpbtrf`.
+columns. The factorisation is L D Lᵀ, that needs no roots, a tile at a time: bands about 40 wide
+take 1.6 times as long column by column, and three times as long by LAPACK's `dpbtrf`.
 """
 
 from __future__ import annotations
