@@ -93,13 +93,10 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     """
     if count == 0:
         return 0.0, 1.0
-    from scipy.stats import norm
+    from scipy.stats import binomtest
 
-    z = float(norm.ppf(0.5 + CONFIDENCE / 2))
-    rate = successes / count
-    centre = (rate + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(rate * (1 - rate) / count + z**2 / (4 * count**2))
-    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+    interval = binomtest(successes, count).proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def bootstrap(values: Sequence[float], seed: int = 0) -> tuple[float, float]:

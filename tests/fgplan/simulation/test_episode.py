@@ -138,7 +138,9 @@ def test_switches_count_changes_between_named_hypotheses() -> None:
 def test_wilson_matches_its_published_example() -> None:
     """Newcombe, Statistics in Medicine 17, 1998, table I: 81 of 263 gives 0.2553 to 0.3662."""
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
-    assert wilson(0, 20)[0] == 0.0
+    for count in (20, 60, 500):
+        assert wilson(0, count)[0] == 0.0
+        assert wilson(count, count)[1] == 1.0
 
 
 def test_the_bootstrap_interval_is_that_of_the_normal_law_for_many_values() -> None:
