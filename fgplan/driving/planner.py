@@ -15,6 +15,7 @@ from fgplan.driving.choice import chosen, expected, outcome, taken
 from fgplan.driving.deliberation import Deliberation
 from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
 from fgplan.driving.guard import Guarded, Judge, Tier
+from fgplan.driving.leading_on import leads_on
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
@@ -236,20 +237,25 @@ class Planner:
         return decision, memory
 
     def _safe(self, followed: Component, judge: Judge, memory: Memory, began: float) -> Guarded:
-        """What is done of a component: its own command where that is clear, else a way out, or
-        what is left of what is driven; where those are not clear, what the guard says."""
-        settings, planned = self.settings, expected(followed, judge)
-        if settings.way_out is None or followed.check.clear:
-            return judge.command(followed.robot, planned)
-        until = np.inf
+        """What is done of a component: its own command where that is clear and leads on, else a
+        way out, or what is left of what is driven; where those are not clear, what the guard
+        says. A plan that is clear is left only for a way over the whole horizon."""
+        settings, planned, plan = self.settings, expected(followed, judge), followed.robot
+        search, clear, until = settings.way_out, followed.check.clear, np.inf
         if settings.deadline is not None:
             until = began + (1 - LAST_WORD / 2) * settings.deadline
-        way = settings.way_out.search(judge.scenario, judge.belief, followed.robot, until)
+        if search is None or (
+            clear and leads_on(search, judge, plan, settings.goal_tolerance, until)
+        ):
+            return judge.command(plan, planned)
+        way = search.search(judge.scenario, judge.belief, plan, until)
+        if clear and not search.whole(way):
+            way = None
         found = None if way is None else judge.clear(way)
         if found is None and memory.trajectory is not None:
             since, times = judge.scenario.now - memory.started, judge.scenario.density.times
             found = judge.clear(shifted(memory.trajectory, since, times))
-        return found or judge.command(followed.robot, planned)
+        return found or judge.command(plan, planned)
 
     def _propose(self, memory: Memory, belief: Belief) -> tuple[tuple[Hypothesis, ...], Memory]:
         """The hypotheses of this step, and what is remembered of the operator for them."""

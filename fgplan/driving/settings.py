@@ -35,7 +35,8 @@ class Settings:
         stall: A robot that has not come nearer to its goal for this long makes no progress [s].
         lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
         routing, tracking, pricing, guard, intake: See there.
-        way_out: What is looked for where no plan is clear; None leaves it to the guard alone.
+        way_out: What is looked for where no plan is clear or leads on; None leaves it to the guard
+            alone.
         starts: Where the optimiser starts from on a route; see `fgplan.starts`.
         solver: Of each plan; there will be another one in a moment, so a thousandth of a nat is
             near enough.

@@ -48,7 +48,7 @@ class WayOut:
         most: Ways that are followed at once; more where so many all end.
     """
 
-    horizon: float = 8.0
+    horizon: float = 12.0
     margins: tuple[float, ...] = (0.15, 0.05)
     period: float = 0.4
     looks: int = 4
@@ -78,9 +78,13 @@ class WayOut:
             found = self._search(scenario, belief, wanted, margin, most, until)
             if best is None or found.times[-1] > best.times[-1] + 1e-9:
                 best = found
-            if best.times[-1] > self.horizon - self.period:
+            if self.whole(best):
                 break
         return None if best is None or best.times[-1] < scenario.density.horizon else best
+
+    def whole(self, way: Trajectory | None) -> bool:
+        """Whether a way leads over the whole horizon."""
+        return way is not None and bool(way.times[-1] > self.horizon - self.period)
 
     def _search(
         self,
