@@ -239,7 +239,7 @@ class Planner:
     def _safe(self, followed: Component, judge: Judge, memory: Memory, began: float) -> Guarded:
         """What is done of a component: its own command where that is clear and leads on, else a
         way out, or what is left of what is driven; where those are not clear, what the guard
-        says. A plan that is clear is left only for a way over the whole horizon."""
+        says. The way for which a plan that is clear is left goes over the whole horizon."""
         settings, planned, plan = self.settings, expected(followed, judge), followed.robot
         search, clear, until = settings.way_out, followed.check.clear, np.inf
         if settings.deadline is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from time import perf_counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,20 +74,29 @@ def test_who_arrives_needs_no_way_on():
 
 def test_what_there_is_no_time_to_look_at_is_driven():
     scenario, plan = onward()
-    assert asked(scenario, plan, abreast(18.0, 3.0), until=perf_counter())
+    assert asked(scenario, plan, abreast(18.0, 3.0), until=-np.inf)
+
+
+def stepped(monkeypatch, leads):
+    """What a planner does first, that of a plan past two who stand aside, which leads on or not."""
+    monkeypatch.setattr("fgplan.driving.planner.leads_on", lambda *_: leads)
+    seen = tuple(Detection(np.array([6.0, y]), f"p{y}", 0.3, np.zeros(2)) for y in (-0.8, 0.8))
+    scenario, _ = onward(goal=np.array([15.0, 0.0]))
+    planner = Planner(scenario, Settings(deadline=None))
+    return planner.step(Observation(0.0, np.zeros(2), detections=seen)).action
 
 
 def test_a_plan_that_does_not_lead_on_is_left_for_a_way(monkeypatch):
     """And what is done is clear of everybody."""
-    seen = tuple(Detection(np.array([6.0, y]), f"p{y}", 0.3, np.zeros(2)) for y in (-0.8, 0.8))
-    decisions = []
-    for answer in (True, False):
-        monkeypatch.setattr("fgplan.driving.planner.leads_on", lambda *_, answer=answer: answer)
-        scenario, _ = onward(goal=np.array([15.0, 0.0]))
-        planner = Planner(scenario, Settings(deadline=None))
-        decisions.append(planner.step(Observation(0.0, np.zeros(2), detections=seen)))
-    followed, left = decisions
-    assert followed.action.kind == "follow"
-    assert left.action.kind == "avoid"
-    assert left.action.safe
-    assert left.trajectory.times[-1] <= WayOut().horizon
+    assert stepped(monkeypatch, leads=True).kind == "follow"
+    left = stepped(monkeypatch, leads=False)
+    assert left.kind == "avoid"
+    assert left.safe
+
+
+def test_a_clear_plan_is_not_left_for_a_way_that_ends(monkeypatch):
+    search = WayOut.search
+    monkeypatch.setattr(
+        WayOut, "search", lambda self, *asked: search(replace(self, horizon=6.0), *asked)
+    )
+    assert stepped(monkeypatch, leads=False).kind == "follow"
