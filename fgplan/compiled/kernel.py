@@ -29,6 +29,11 @@ def given(dimensions: int, of: Any = FLOAT) -> Any:
     return types.Array(of, dimensions, "A", readonly=True)
 
 
+def packed(dimensions: int, of: Any = FLOAT) -> Any:
+    """A contiguous array that is read: whole registers at a time."""
+    return types.Array(of, dimensions, "C", readonly=True)
+
+
 def result(dimensions: int, of: Any = FLOAT) -> Any:
     """A contiguous array that is written."""
     return types.Array(of, dimensions, "C")

@@ -9,30 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from math import exp, log1p, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factors.contact import Contact
-from factors.hinge import TINY, hinge_scale
+from factors.hinge import hinge_scale
 from factors.interaction import Interaction
 from factors.pairwise import ByPair, CrowdPairs, PairPotential, PredictedPairs, Together
 from factors.residual import Array, Expansion, Residual
-from fgplan.compiled.kernel import BOOL, INT, exact, given, result
+from fgplan.compiled.kernel import BOOL, INT, apart, exact, given, packed, result
+from fgplan.compiled.radial import NOTHING, contacts, energies, expansions, relative, total
 from fgplan.model import Term
 
 Index = NDArray[np.intp]
-
-NOWHERE = -40.0
-"""Below this exponent an interaction is nothing beside the rounding of a sum."""
-FAINT = 1e-3
-"""Below this −log(1 − u) is five terms of its series to rounding, in a third of the time."""
-LEAST = 1e-16
-"""1 − u is not taken to be less in a slope: at contact with alpha = 1 the limit is infinite."""
-NOTHING = (0.0, 0.0, 0.0, -1.0, 0.0)
-"""A row without interaction (alpha = 0) and without contact (a reach that no distance is below)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +37,8 @@ class Pairs(Residual):
         sizes: Of the variables.
         positions: Where those of the m bodies are in them, shape (2m,).
         i, j: Bodies i < j of each pair, shape (P,).
-        table: alpha, −1/(2 s²), weight, reach and scale of each pair, shape (S, P, 5), or
-            (1, P, 5) where they are the same at all steps.
+        table: alpha, −1/(2 s²), weight, reach and scale of each pair, shape (S, 5, P), or
+            (1, 5, P) where they are the same at all steps.
         held: Where the bodies after the first m are, shape (S, h, 2) or (1, h, 2) [m].
     """
 
@@ -91,7 +82,7 @@ class Pairs(Residual):
         robot, crowd = _variables(x)
         shape, size = robot.shape[:2], len(self.positions)
         energy, gradient = np.zeros(shape), np.zeros((*shape, size))
-        blocks = np.zeros((*shape, len(self.i), 3))
+        blocks = np.empty((*shape, len(self.i), 3))
         bodies = robot, crowd, self.held, self.i, self.j, self.table
         _expand_by_pair(*bodies, flat, energy, gradient, blocks)
         batch = x[0].shape[:-1]
@@ -120,7 +111,7 @@ def fused(terms: Sequence[Term]) -> Iterator[Term]:
         group = groups.setdefault((bodies, term.variables, term.steps), [])
         group += [(term, potential) for potential in potentials]
     for group in groups.values():
-        kinds = [[one for one in group if isinstance(one[1], kind)] for kind in _COLUMNS]
+        kinds = [[one for one in group if isinstance(one[1], kind)] for kind in _NUMBERS]
         for together in zip_longest(*kinds):
             parts = [one for one in together if one is not None]
             pairs = _pairs([term.residual for term, _ in parts], [one for _, one in parts])
@@ -144,7 +135,7 @@ def _simple(residual: Residual) -> list[PairPotential] | None:
         potential = todo.pop(0)
         if isinstance(potential, Together):
             todo += potential.potentials
-        elif type(potential) in _COLUMNS:
+        elif type(potential) in _NUMBERS:
             found.append(potential)
         else:
             return None
@@ -164,31 +155,35 @@ def _pairs(residuals: Sequence[Any], potentials: Sequence[Any]) -> Pairs:
     many = 1 + max(int(j.max(initial=0)) for _, j in indices)
     codes = [i * many + j for i, j in indices]
     every = np.unique(np.concatenate(codes))
-    rows = [_COLUMNS[type(potential)] for potential in potentials]
+    rows = [_NUMBERS[type(potential)] for potential in potentials]
     values = [of(potential) for (of, _), potential in zip(rows, potentials, strict=True)]
     steps = max(len(value) if value.ndim == 3 else 1 for value in values)
-    table = np.tile(np.array(NOTHING), (steps, len(every), 1))
-    for code, value, (_, columns) in zip(codes, values, rows, strict=True):
-        table[:, np.searchsorted(every, code), columns] = value
+    table = np.tile(np.array(NOTHING)[:, None], (steps, 1, len(every)))
+    for code, value, (_, numbers) in zip(codes, values, rows, strict=True):
+        table[:, numbers, np.searchsorted(every, code)] = value
     held = np.ascontiguousarray(held, dtype=float)
     return Pairs(first.dims, first.support, *np.divmod(every, many), table, held)
 
 
 def _of_interaction(potential: Interaction) -> Array:
     exponent = -0.5 / (potential.h_c**2 + potential.variance)
-    return np.stack(np.broadcast_arrays(potential.alpha, exponent, potential.weight), axis=-1)
+    return _numbers(potential.alpha, exponent, potential.weight)
 
 
 def _of_contact(potential: Contact) -> Array:
-    scale = hinge_scale(potential.sigma, potential.weight)
-    return np.stack(np.broadcast_arrays(potential.reach, scale), axis=-1)
+    return _numbers(potential.reach, hinge_scale(potential.sigma, potential.weight))
 
 
-_COLUMNS: dict[type, tuple[Callable[[Any], Array], slice]] = {
+def _numbers(*each: Any) -> Array:
+    """Of each pair (P,), or of each step and pair (S, P), as part of a table."""
+    return np.stack(np.broadcast_arrays(*(np.atleast_1d(one) for one in each)), axis=-2)
+
+
+_NUMBERS: dict[type, tuple[Callable[[Any], Array], slice]] = {
     Interaction: (_of_interaction, slice(0, 3)),
     Contact: (_of_contact, slice(3, 5)),
 }
-"""Kinds of potentials, and where they are in a row."""
+"""Kinds of potentials, and where their numbers are in a table."""
 
 
 def _variables(x: tuple[Array, ...]) -> tuple[Array, Array]:
@@ -209,69 +204,23 @@ def _place(bodies: Array, robot: Array, crowd: Array, held: Array) -> None:
             bodies[1 + people + n, c] = held[n, c]
 
 
-@exact()
-def _presence_energy(u: float) -> float:
-    """−log(1 − u)."""
-    if u < FAINT:
-        return u * (1 + u * (1 / 2 + u * (1 / 3 + u * (1 / 4 + u / 5))))
-    return -log1p(-u)
-
-
 _STATES = (given(3), given(3), given(3))
-_TABLE = (given(1, INT), given(1, INT), given(3))
+_TABLE = (packed(1, INT), packed(1, INT), packed(3))
 
 
 @exact(*_STATES, INT, *_TABLE, result(2))
 def _energy(
     robot: Array, crowd: Array, held: Array, m: int, i: Index, j: Index, table: Array, energy: Array
 ) -> None:
-    bodies = np.empty((m + held.shape[1], 2))
+    bodies, delta = np.empty((m + held.shape[1], 2)), np.empty((2, len(i)))
+    squared, presence, each = np.empty(len(i)), np.empty(len(i)), np.empty(len(i))
     for n in range(robot.shape[0]):
         for k in range(robot.shape[1]):
             _place(bodies, robot[n, k], crowd[n, k], held[min(k, len(held) - 1)])
-            row, total = table[min(k, len(table) - 1)], 0.0
-            for p in range(len(i)):
-                x, y = bodies[i[p], 0] - bodies[j[p], 0], bodies[i[p], 1] - bodies[j[p], 1]
-                d2 = x * x + y * y
-                alpha, exponent, weight, reach, scale = row[p]
-                if alpha > 0 and exponent * d2 > NOWHERE:
-                    total += weight * _presence_energy(alpha * exp(exponent * d2))
-                if reach > 0 and not d2 + TINY**2 > reach * reach:
-                    total += 0.5 * (scale * (reach - sqrt(d2 + TINY**2))) ** 2
-            energy[n, k] = total
-
-
-@exact()
-def _radial(d2: float, row: Array, flat: bool) -> tuple[float, float, float, float]:
-    """Energy, slope, a and b of `factors.radial.Radial`, of both potentials; with `flat`, the
-    Gauss–Newton curvature."""
-    alpha, exponent, weight, reach, scale = row[0], row[1], row[2], row[3], row[4]
-    energy = slope = a = b = 0.0
-    if alpha > 0 and exponent * d2 > NOWHERE:
-        u = alpha * exp(exponent * d2)
-        energy = weight * _presence_energy(u)
-        rest = 1 - u
-        if rest < LEAST:
-            rest = LEAST
-        slope = 2 * exponent * weight * u / rest
-        if flat:
-            # ∂e/∂Δ = c·Δ with e = √(2 energy), so that c = slope/e.
-            b = slope**2 / (2 * energy) if energy != 0 else 0.0
-        else:
-            a = slope
-            b = 2 * exponent * slope / rest
-    if reach > 0 and not d2 + TINY**2 > reach * reach:
-        d = sqrt(d2 + TINY**2)
-        e = scale * (reach - d)
-        own = -scale * e / d
-        energy += 0.5 * e * e
-        slope += own
-        if not flat:
-            a += own
-            b += (scale * scale - own) / (d * d)
-        elif e > 0:
-            b += (scale / d) ** 2
-    return energy, slope, a, b
+            relative(bodies, i, j, delta, squared)
+            energies(squared, table[min(k, len(table) - 1)], presence, each)
+            contacts(squared, table[min(k, len(table) - 1)], each)
+            energy[n, k] = total(each)
 
 
 @exact()
@@ -282,41 +231,28 @@ def _add(H: Array, r: int, c: int, xx: float, xy: float, yy: float) -> None:
     H[r + 1, c + 1] += yy
 
 
-@exact(*_STATES, *_TABLE, BOOL, result(2), result(3), result(4))
-def _expand(
-    robot: Array,
-    crowd: Array,
-    held: Array,
-    i: Index,
-    j: Index,
-    table: Array,
-    flat: bool,
-    energy: Array,
-    gradient: Array,
-    hessian: Array,
-) -> None:
-    m = gradient.shape[2] // 2
-    bodies = np.empty((m + held.shape[1], 2))
-    for n in range(robot.shape[0]):
-        for k in range(robot.shape[1]):
-            _place(bodies, robot[n, k], crowd[n, k], held[min(k, len(held) - 1)])
-            row, g, H = table[min(k, len(table) - 1)], gradient[n, k], hessian[n, k]
-            for p in range(len(i)):
-                one, other = i[p], j[p]
-                x, y = bodies[one, 0] - bodies[other, 0], bodies[one, 1] - bodies[other, 1]
-                e, slope, a, b = _radial(x * x + y * y, row[p], flat)
-                energy[n, k] += e
-                xx, xy, yy = a + b * x * x, b * x * y, a + b * y * y
-                r, c = 2 * one, 2 * other
-                g[r] += slope * x
-                g[r + 1] += slope * y
-                _add(H, r, r, xx, xy, yy)
-                if other < m:
-                    g[c] -= slope * x
-                    g[c + 1] -= slope * y
-                    _add(H, c, c, xx, xy, yy)
-                    _add(H, r, c, -xx, -xy, -yy)
-                    _add(H, c, r, -xx, -xy, -yy)
+@apart()
+def _spread(i: Index, j: Index, m: int, delta: Array, slope: Array, gradient: Array) -> None:
+    """Add the gradients of pairs to those of the first m bodies."""
+    for p in range(len(i)):
+        gx, gy = slope[p] * delta[0, p], slope[p] * delta[1, p]
+        gradient[2 * i[p]] += gx
+        gradient[2 * i[p] + 1] += gy
+        if j[p] < m:
+            gradient[2 * j[p]] -= gx
+            gradient[2 * j[p] + 1] -= gy
+
+
+@apart()
+def _curve(delta: Array, a: Array, b: Array, blocks: Array) -> None:
+    """Hessians a + b Δ Δᵀ of pairs as xx, xy, yy, shape (P, 3)."""
+    for p in range(len(a)):
+        x, y = delta[0, p], delta[1, p]
+        blocks[p, 0], blocks[p, 1], blocks[p, 2] = (
+            a[p] + b[p] * x * x,
+            b[p] * x * y,
+            a[p] + b[p] * y * y,
+        )
 
 
 @exact(*_STATES, *_TABLE, BOOL, result(2), result(3), result(4))
@@ -333,19 +269,44 @@ def _expand_by_pair(
     blocks: Array,
 ) -> None:
     m = gradient.shape[2] // 2
-    bodies = np.empty((m + held.shape[1], 2))
+    bodies, delta = np.empty((m + held.shape[1], 2)), np.empty((2, len(i)))
+    squared, presence, each = np.empty(len(i)), np.empty(len(i)), np.empty(len(i))
+    slope, a, b = np.empty(len(i)), np.empty(len(i)), np.empty(len(i))
     for n in range(robot.shape[0]):
         for k in range(robot.shape[1]):
             _place(bodies, robot[n, k], crowd[n, k], held[min(k, len(held) - 1)])
-            row, g, h = table[min(k, len(table) - 1)], gradient[n, k], blocks[n, k]
+            relative(bodies, i, j, delta, squared)
+            rows = table[min(k, len(table) - 1)]
+            expansions(squared, rows, flat, presence, each, slope, a, b)
+            energy[n, k] = total(each)
+            _spread(i, j, m, delta, slope, gradient[n, k])
+            _curve(delta, a, b, blocks[n, k])
+
+
+@exact(*_STATES, *_TABLE, BOOL, result(2), result(3), result(4))
+def _expand(
+    robot: Array,
+    crowd: Array,
+    held: Array,
+    i: Index,
+    j: Index,
+    table: Array,
+    flat: bool,
+    energy: Array,
+    gradient: Array,
+    hessian: Array,
+) -> None:
+    m, shape = gradient.shape[2] // 2, gradient.shape
+    blocks = np.empty((shape[0], shape[1], len(i), 3))
+    _expand_by_pair(robot, crowd, held, i, j, table, flat, energy, gradient, blocks)
+    for n in range(shape[0]):
+        for k in range(shape[1]):
+            H = hessian[n, k]
             for p in range(len(i)):
-                one, other = i[p], j[p]
-                x, y = bodies[one, 0] - bodies[other, 0], bodies[one, 1] - bodies[other, 1]
-                e, slope, a, b = _radial(x * x + y * y, row[p], flat)
-                energy[n, k] += e
-                h[p, 0], h[p, 1], h[p, 2] = a + b * x * x, b * x * y, a + b * y * y
-                g[2 * one] += slope * x
-                g[2 * one + 1] += slope * y
-                if other < m:
-                    g[2 * other] -= slope * x
-                    g[2 * other + 1] -= slope * y
+                r, c = 2 * i[p], 2 * j[p]
+                xx, xy, yy = blocks[n, k, p]
+                _add(H, r, r, xx, xy, yy)
+                if j[p] < m:
+                    _add(H, c, c, xx, xy, yy)
+                    _add(H, r, c, -xx, -xy, -yy)
+                    _add(H, c, r, -xx, -xy, -yy)
