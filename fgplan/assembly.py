@@ -29,7 +29,7 @@ Index = NDArray[np.intp]
 Expand = Callable[[Residual, list[Array]], Expansion]
 
 
-_BY_ROW = ("linear_gradient", "linear_energy", "energy", "gradient", "states", "_which")
+_BY_ROW = ("linear_gradient", "linear_energy", "energy", "gradient", "states", "which")
 """What a `Quadratic` holds one of for each expansion, beside its parts."""
 
 
@@ -38,6 +38,7 @@ class Quadratic:
 
     Attributes:
         states: Where, shape (B, S, D).
+        which: Hypothesis of each, shape (B,).
         energy: Shape (B,).
         gradient: Shape (B, S, D).
     """
@@ -50,7 +51,7 @@ class Quadratic:
         expand: Expand,
         nonlinear: Sequence[Wired] | None = None,
     ) -> None:
-        self._assembly, self.states, self._which = assembly, X, which
+        self._assembly, self.states, self.which = assembly, X, which
         d = X - assembly.reference[which]
         curve = assembly.times(d, which)
         self.linear_gradient = assembly.gradient[which] + curve
@@ -98,7 +99,7 @@ class Quadratic:
     def hessian(self, rows: Index) -> tuple[Array, Array]:
         """Blocks (k, k), shape (R, S, D, D), and (k, k + 1), shape (R, S − 1, D, D), of some of
         the B Hessians."""
-        diagonal, upper = self._assembly.held_hessian(self._which[rows])
+        diagonal, upper = self._assembly.held_hessian(self.which[rows])
         for wired, part in self._parts:
             wired.add_hessian(part[rows], diagonal, upper)
         return diagonal, upper
@@ -116,7 +117,7 @@ class Quadratic:
     def newton(self) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Steps −H⁻¹ g of all B expansions, shape (B, S, D), zero where H is not positive definite,
         where it is (B,), and which steps are of use (B,)."""
-        steps, definite = self._solve(self._which, self.gradient, self._parts)
+        steps, definite = self._solve(self.which, self.gradient, self._parts)
         return steps, definite, definite
 
     def confirmed(self, rows: Index) -> NDArray[np.bool_]:
@@ -136,7 +137,7 @@ class Quadratic:
                 flat = wired.residual.gauss_newton(*wired.variables(self.states[rows])).hessian
                 wired.hold(flat)
                 parts.append((wired, flat))
-        return self._solve(self._which[rows], self.gradient[rows], parts, rows)
+        return self._solve(self.which[rows], self.gradient[rows], parts, rows)
 
     def _solve(
         self,
@@ -177,6 +178,8 @@ class Assembly:
 
     Attributes:
         pace: What a start took in the last iteration of a solver [s].
+        pattern: Which entries of the constant blocks (k, k) and (k, k + 1) are anywhere not zero,
+            (D, D) each.
 
     Raises:
         ValueError: the models do not share their terms, a hypothesis's own term is not linear, or
@@ -269,13 +272,15 @@ class Assembly:
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:
                     wired.add_constant(term.residual.information, *chain)
+        # What of the chains is not zero is looked for once: there is little of it.
+        self.pattern = np.any(self._diagonal, axis=(0, 1)), np.any(self._upper, axis=(0, 1))
         blocks = zip(self._diagonal, self._upper, strict=True)
-        self._products = [self.backend.product(*each) for each in blocks]
+        self._products = [self.backend.product(*each, *self.pattern) for each in blocks]
 
     @cached_property
     def linked(self) -> NDArray[np.bool_]:
         """Which coordinates may be linked to which of the next step by what is not far, (D, D)."""
-        linked: NDArray[np.bool_] = np.any(self._upper, axis=(0, 1))
+        linked: NDArray[np.bool_] = self.pattern[1].copy()
         for wired in self.nonlinear:
             for at_row, into_rows, _ in wired.runs:
                 for at_column, into_columns, _ in wired.runs:
@@ -321,29 +326,37 @@ class Assembly:
         return Quadratic(self, X, which, lambda residual, x: residual.gauss_newton(*x))
 
     def along(
-        self, q: Quadratic, X: Array, step: Array, which: Index
+        self, q: Quadratic, ahead: Quadratic, step: Array, rows: Index
     ) -> Callable[[Array, Index], Array]:
-        """Energies on the lines X + s·step, as a function of lengths s (L, R) and rows (R,) of the
-        B lines, shape (L, R).
+        """Energies on R lines, as a function of lengths s (L, N) and of which lines (N,), shape
+        (L, N).
 
-        The linear-Gaussian part is exactly quadratic on the line. With wheels the line is the
+        The linear-Gaussian part is exactly quadratic on a line. With wheels the line is the
         curve on which `moved` goes.
+
+        Args:
+            q: B expansions.
+            ahead: Those at the ends of R full steps.
+            step: The steps of the B, shape (B, S, D).
+            rows: Which of the B the lines are of, shape (R,).
         """
         if self.motion is not None:
 
-            def along_the_curve(s: Array, rows: Index) -> Array:
-                there = self.moved(X[rows], s[..., None, None] * step[rows])
-                return self.energy(there, which[rows])
+            def along_the_curve(s: Array, some: Index) -> Array:
+                d, which = step[rows[some]], q.which[rows[some]]
+                there = self.moved(q.states[rows[some]], s[..., None, None] * d)
+                return self.energy(there, which)
 
             return along_the_curve
 
-        def energies(s: Array, rows: Index) -> Array:
-            d = step[rows]
-            slope = _dot(q.linear_gradient[rows], d)
-            curvature = _dot(self.times(d, which[rows]), d)
+        def energies(s: Array, some: Index) -> Array:
+            start = rows[some]
+            d, before = step[start], q.linear_gradient[start]
+            slope = _dot(before, d)
+            curvature = _dot(ahead.linear_gradient[some] - before, d)
             with np.errstate(over="ignore", invalid="ignore"):
-                linear = q.linear_energy[rows] + s * slope + 0.5 * s**2 * curvature
-                at = X[rows] + s[..., None, None] * d
+                linear = q.linear_energy[start] + s * slope + 0.5 * s**2 * curvature
+                at = q.states[start] + s[..., None, None] * d
                 return np.asarray(linear + self.potentials(at))
 
         return energies

@@ -65,9 +65,13 @@ class Backend(Protocol):
         """The same density in terms that are faster to evaluate."""
         ...
 
-    def product(self, diagonal: Array, upper: Array) -> Product:
-        """From vectors (N, S, D) to their products with a chain, of which most entries are zero:
-        blocks (S, D, D) and (S − 1, D, D)."""
+    def product(self, diagonal: Array, upper: Array, own: Mask, links: Mask) -> Product:
+        """From vectors (N, S, D) to their products with a chain.
+
+        Args:
+            diagonal, upper: Its blocks (S, D, D) and (S − 1, D, D).
+            own, links: Which of their entries may be other than zero, (D, D) each: few.
+        """
         ...
 
     def systems(self, chains: Chains) -> Systems:
@@ -99,8 +103,8 @@ class Numpy:
             potential = Together(tuple(own.potential for _, own in group))
             yield replace(term, residual=replace(pairs, potential=potential))
 
-    def product(self, diagonal: Array, upper: Array) -> Product:
-        matrix = _sparse(diagonal, upper)
+    def product(self, diagonal: Array, upper: Array, own: Mask, links: Mask) -> Product:
+        matrix = _sparse(diagonal, upper, own, links)
 
         def times(d: Array) -> Array:
             product = matrix @ d.reshape(len(d), -1).T
@@ -123,13 +127,13 @@ def fastest() -> Backend:
     return Compiled()
 
 
-def _sparse(diagonal: Array, upper: Array) -> csr_array:
+def _sparse(diagonal: Array, upper: Array, own: Mask, links: Mask) -> csr_array:
     """A chain, of which most blocks are nearly empty, as a sparse matrix."""
     S, D, _ = diagonal.shape
     first = D * np.arange(S)[:, None]
-    a, b = np.nonzero(diagonal.any(axis=0))
+    a, b = np.nonzero(own)
     rows, columns, values = [first + a], [first + b], [diagonal[:, a, b]]
-    a, b = np.nonzero(upper.any(axis=0))
+    a, b = np.nonzero(links)
     here, there = first[:-1] + a, first[1:] + b
     rows, columns = [*rows, here, there], [*columns, there, here]
     values += 2 * [upper[:, a, b]]

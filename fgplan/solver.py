@@ -157,7 +157,7 @@ class SecondOrder:
             going = np.flatnonzero(~ended)
             if not len(going):
                 break
-            length, ahead = _line_search(assembly, expand, X[active], way, which[active], going)
+            length, ahead = _line_search(assembly, expand, way, going)
             rows, moved = active[going], length > 0
             on = rows[moved]
             X[rows], energy[rows], stuck[rows] = ahead.states, ahead.energy, False
@@ -315,8 +315,7 @@ ROUNDING = 1e-12
 """Relative error of an energy."""
 FULL_STEP = 0.5
 """A full step is taken when it brings this share of what it promised."""
-LENGTHS = (0.25, 0.5, 2.0, 4.0)
-SHORT_LENGTHS = (2.0**-20, 2.0**-16, 2.0**-12, 2.0**-8, 2.0**-6, 2.0**-4)
+LENGTHS = (0.25, 0.5), (2.0**-6, 2.0**-4), (2.0**-20, 2.0**-16, 2.0**-12, 2.0**-8)
 """The shortest cross a hinge that is off by a hair: once it is on, the next step knows it."""
 LONG_LENGTHS = (4.0, 16.0, 64.0)
 """For Gauss–Newton steps on which the energy curves downwards: near a saddle they are short."""
@@ -325,32 +324,33 @@ CURVED = 1.5
 
 
 def _line_search(
-    assembly: Assembly, expand: Expand, X: Array, way: _Directions, which: Index, rows: Index
+    assembly: Assembly, expand: Expand, way: _Directions, rows: Index
 ) -> tuple[Array, Quadratic]:
     """Length of the step for some rows (R,), 0 where none lowers the energy, and the expansions
     at its end.
 
     The full step when it is good, which is nearly always, so that is where the next expansion is
-    made; else the best of a few lengths; else of a few short ones.
+    made; else the best of two lengths, and of shorter ones while all of them lead up.
     """
-    before, promised = way.expansion.energy[rows], np.maximum(way.promised[rows], 0.0)
-    ahead = expand(assembly.moved(X[rows], way.step[rows]), which[rows])
-    energies = assembly.along(way.expansion, X, way.step, which)
+    q = way.expansion
+    X, which, step = q.states[rows], q.which[rows], way.step[rows]
+    before, promised = q.energy[rows], np.maximum(way.promised[rows], 0.0)
+    ahead = expand(assembly.moved(X, step), which)
+    energies = assembly.along(q, ahead, way.step, rows)
     length, reached = np.ones(len(rows)), _finite(ahead.energy)
 
     def search(some: Index, lengths: tuple[float, ...]) -> None:
         s = np.array(lengths)
-        tried = _finite(energies(np.tile(s[:, None], len(some)), rows[some]))
+        tried = _finite(energies(np.tile(s[:, None], len(some)), some))
         best, lowest = s[tried.argmin(axis=0)], tried.min(axis=0)
         better = lowest < reached[some]
         length[some[better]], reached[some[better]] = best[better], lowest[better]
 
     poor = np.flatnonzero(reached > before - FULL_STEP * promised)
-    for lengths in (LENGTHS, SHORT_LENGTHS):
+    for lengths in LENGTHS:
         if not len(poor):
             break
         search(poor, lengths)
-        # A longer search is only for those that still go up.
         poor = poor[reached[poor] >= before[poor]]
     whole = (way.newton & way.minimum)[rows]
     if not whole.all():
@@ -361,8 +361,8 @@ def _line_search(
     length[reached >= before] = 0.0
     other = np.flatnonzero(length != 1.0)
     if len(other):
-        at, step = rows[other], length[other, None, None] * way.step[rows[other]]
-        ahead.put(other, expand(assembly.moved(X[at], step), which[at]))
+        shorter = length[other, None, None] * step[other]
+        ahead.put(other, expand(assembly.moved(X[other], shorter), which[other]))
     return length, ahead
 
 

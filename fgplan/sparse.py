@@ -83,7 +83,7 @@ class Layout:
         rest = np.setdiff1d(np.arange(D), person)
         diagonal, upper = assembly.constant_hessians
         # A person who is known without error would have to be held.
-        if not (assembly.free[:, person].all() and _apart(diagonal, upper, person, rest)):
+        if not (assembly.free[:, person].all() and _apart(*assembly.pattern, person, rest)):
             return None
         place = {int(column): at for at, column in enumerate(rest)}
         columns = {
@@ -144,7 +144,7 @@ class Sparse(Quadratic):
     def newton(self) -> tuple[Array, Mask, Mask]:
         """As in `Quadratic`, but where the energy is seen to curve downwards a step is what was
         found before, and still of use."""
-        steps, definite, products = self._solved(self.gradient, self._which, FORCING, MOST)
+        steps, definite, products = self._solved(self.gradient, self.which, FORCING, MOST)
         return steps, definite, products > 0
 
     def confirmed(self, rows: Index) -> Mask:
@@ -154,7 +154,7 @@ class Sparse(Quadratic):
         drawn = np.where(self._assembly.free, drawn, 0.0)
         some = self.take(rows)
         aside = np.broadcast_to(drawn, some.gradient.shape)
-        return some._solved(aside, some._which, PROBING, PROBES)[1]
+        return some._solved(aside, some.which, PROBING, PROBES)[1]
 
     def _solved(
         self, gradient: Array, which: Index, forcing: float, most: int
@@ -213,15 +213,14 @@ class Sparse(Quadratic):
         return flat
 
     def flattened(self, rows: Index) -> tuple[Array, Mask]:
-        states, which = self.states[rows], self._which[rows]
+        states, which = self.states[rows], self.which[rows]
         steps, _, found = Sparse(self._assembly, self._layout, states, which, True).newton()
         return steps, found
 
 
-def _apart(diagonal: Array, upper: Array, person: Index, rest: Index) -> bool:
-    """Whether people are linked neither to each other nor to the rest, nor over time but along an
-    axis."""
-    linked, on = np.any(diagonal, axis=(0, 1)), np.any(upper, axis=(0, 1))
+def _apart(linked: Mask, on: Mask, person: Index, rest: Index) -> bool:
+    """Whether people are linked neither to each other nor to the rest, within a time step and to
+    the next, nor over time but along an axis."""
     allowed = np.zeros_like(linked)
     allowed[rest[:, None], rest] = True
     later = allowed.copy()

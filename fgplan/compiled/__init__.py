@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgplan.block_tridiagonal import Chains, at_once, chunks
 from fgplan.compiled import conjugate, limits, pairs, products, tiles
+from fgplan.compiled.kernel import room
 from fgplan.model import Term
 from fgplan.systems import Systems
 from fgplan.wiring import Wired
@@ -31,13 +32,14 @@ class Compiled:
     def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
         return pairs.fused(list(limits.fused(terms)))
 
-    def product(self, diagonal: Array, upper: Array) -> Product:
-        own, links = np.argwhere(diagonal.any(axis=0)), np.argwhere(upper.any(axis=0))
-        entries = diagonal[:, own[:, 0], own[:, 1]], upper[:, links[:, 0], links[:, 1]]
+    def product(self, diagonal: Array, upper: Array, own: Mask, links: Mask) -> Product:
+        here, ahead = (np.stack(np.nonzero(mask), axis=1) for mask in (own, links))
+        at = np.ascontiguousarray(diagonal[:, *here.T])
+        across = np.ascontiguousarray(upper[:, *ahead.T])
 
         def times(d: Array) -> Array:
-            product = np.zeros_like(d)
-            products.multiply(*entries, own, links, d, product)
+            product = np.zeros(d.shape)
+            products.multiply(at, across, here, ahead, np.ascontiguousarray(d), product)
             return product
 
         return times
@@ -45,18 +47,18 @@ class Compiled:
     def systems(self, chains: Chains) -> Systems:
         constant, size = tiles.laid(chains.data), len(chains.order)
         # What is laid out is overwritten: one call at a time.
-        room = tiles.room(at_once(constant[0].size), *chains.data.shape[1:])
+        work = room((at_once(constant[0].size), *constant.shape[1:]))
 
         def steps(
             rows: Index, parts: Sequence[tuple[Wired, Array]], gradient: Array
         ) -> tuple[Array, Mask]:
             steps, definite = np.empty_like(gradient), np.empty(len(rows), dtype=bool)
             for here in chunks(len(rows), constant[0].size):
-                H = room[: len(rows[here])]
+                H = work[: len(rows[here])]
                 np.take(constant, rows[here], axis=0, out=H, mode="clip")
                 for wired, part in parts:
                     first, stride = wired.first.start * size, (wired.first.step or 1) * size
-                    tiles.add(H, part[here], first, stride, wired.places)
+                    tiles.add(H, np.ascontiguousarray(part[here]), first, stride, wired.places)
                 tiles.solve(H, gradient[here], chains.order, steps[here], definite[here])
             return steps, definite
 

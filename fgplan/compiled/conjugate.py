@@ -4,9 +4,11 @@ Without the pairs every body is a chain of its own, and those chains are what th
 preconditioned by, each with what its pairs curve upwards. Where a direction is met along which the
 energy curves downwards, the step so far is what is left (Steihaug), the first direction at least.
 
-Reference:
+References:
     Steihaug, The conjugate gradient method and trust regions in large scale optimization, SIAM
     Journal on Numerical Analysis 20(3), 1983.
+    Eisenstat, Efficient implementation of a class of preconditioned conjugate gradient methods,
+    SIAM Journal on Scientific and Statistical Computing 2(1), 1981.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.compiled.kernel import BOOL, FLOAT, INT, given, reordered, result
+from fgplan.compiled.kernel import BOOL, FLOAT, INT, REGISTER, packed, reordered, result, room
 from fgplan.wiring import PERSON
 
 Array = NDArray[np.float64]
@@ -24,14 +26,39 @@ Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 
+SLIGHT = 1e-9
+"""A pair that curves by less than this share of a body's own position is as good as none."""
+
+
+@reordered()
+def _widen(chains: Array, wide: Array) -> None:
+    """Copy n chains in a band (rows, width, n) to where there is room for more: those are
+    identities, so that no loop over chains has a rest."""
+    n = chains.shape[2]
+    wide[:, :, :n], wide[:, :, n:], wide[:, 0, n:] = chains, 0.0, 1.0
+
+
+@reordered()
+def _softest(chains: Array) -> float:
+    """What a position is held by at least."""
+    least = np.inf
+    for c in range(0, chains.shape[0], 2):
+        for q in range(chains.shape[2]):
+            least = min(least, chains[c, 0, q])
+    return least
+
+
 @reordered()
 def _factorise(A: Array) -> bool:
     """L with L Lᵀ = H of n chains in a band (rows, width, n), in place, its diagonal inverted."""
     rows, width, n = A.shape
     for c in range(rows):
+        least = np.inf
         for q in range(n):
-            if not A[c, 0, q] > 0:
-                return False
+            least = min(least, A[c, 0, q])
+        if not least > 0:
+            return False
+        for q in range(n):
             A[c, 0, q] = 1 / sqrt(A[c, 0, q])
         for o in range(1, width):
             for q in range(n):
@@ -106,7 +133,9 @@ def _add_pairs(
 def _cushion(
     near: Index, blocks: Array, i: Index, j: Index, robot: Index, people: Array, own: Array
 ) -> None:
-    """Add what each pair curves upwards to the chains of its bodies."""
+    """What each pair curves upwards, as if its bodies moved alone: xx, xy, yy of the people's
+    positions, shape (S, 3, n), and added to the robot's own chain."""
+    people[:] = 0.0
     for entry in range(len(near)):
         k, p = near[entry, 0], near[entry, 1]
         xx, xy, yy = blocks[entry, 0], blocks[entry, 1], blocks[entry, 2]
@@ -122,18 +151,42 @@ def _cushion(
                 own[r, 1, 0] += b
                 own[r + 1, 0, 0] += d
             else:
-                people[PERSON * k, 0, body] += a
-                people[PERSON * k, 2, body] += b
-                people[PERSON * k + 2, 0, body] += d
+                people[k, 0, body] += a
+                people[k, 1, body] += b
+                people[k, 2, body] += d
 
 
 @reordered()
-def _near(blocks: Array, first: int, stride: int, near: Index, kept: Array) -> int:
-    """The pairs that curve at all: step and pair (·, 2), and their blocks (·, 3); how many."""
+def _add(cushion: Array, M: Array) -> None:
+    """Add a cushion (S, 3, n) to chains in a band."""
+    for k in range(cushion.shape[0]):
+        c = PERSON * k
+        for q in range(cushion.shape[2]):
+            M[c, 0, q] += cushion[k, 0, q]
+            M[c, 2, q] += cushion[k, 1, q]
+            M[c + 2, 0, q] += cushion[k, 2, q]
+
+
+@reordered()
+def _without(cushion: Array, s: Array, d: Array, y: Array) -> None:
+    """y ← s − C d, with a cushion C (S, 3, n) and vectors (4 S, n)."""
+    y[:] = s
+    for k in range(cushion.shape[0]):
+        c = PERSON * k
+        for q in range(cushion.shape[2]):
+            y[c, q] -= cushion[k, 0, q] * d[c, q] + cushion[k, 1, q] * d[c + 2, q]
+            y[c + 2, q] -= cushion[k, 1, q] * d[c, q] + cushion[k, 2, q] * d[c + 2, q]
+
+
+@reordered()
+def _near(blocks: Array, least: float, first: int, stride: int, near: Index, kept: Array) -> int:
+    """The pairs that curve by more than the least: step and pair (·, 2), and their blocks (·, 3);
+    how many."""
     count = 0
     for k in range(blocks.shape[0]):
         for p in range(blocks.shape[1]):
-            if blocks[k, p, 0] != 0.0 or blocks[k, p, 1] != 0.0 or blocks[k, p, 2] != 0.0:
+            xx, xy, yy = abs(blocks[k, p, 0]), abs(blocks[k, p, 1]), abs(blocks[k, p, 2])
+            if xx > least or xy > least or yy > least:
                 near[count, 0], near[count, 1] = first + k * stride, p
                 for c in range(3):
                     kept[count, c] = blocks[k, p, c]
@@ -176,25 +229,29 @@ def _keep(x: Array, free: Array) -> None:
 
 @reordered()
 def _conjugate(
-    H: Array, H_own: Array, pairs: Index, curves: Array, i: Index, j: Index, robot: Index,
+    cushion: Array, H_own: Array, pairs: Index, curves: Array, i: Index, j: Index, robot: Index,
     free_own: Array, M: Array, M_own: Array, r: Array, r_own: Array, forcing: float, most: int,
     x: Array, x_own: Array,
 ) -> tuple[bool, int]:  # fmt: skip
     """Steps x, x_own, which are 0, from what is left of the gradient, r and r_own, and factors of
-    the preconditioner; whether no direction curved downwards, and how many were tried."""
-    z, z_own = r.copy(), r_own.copy()
+    the preconditioner; whether no direction curved downwards, and how many were tried.
+
+    Chains without their cushion are not multiplied: M z = r, and so M d follows by recurrence
+    (Eisenstat)."""
+    z, d, s, y = room(r.shape), room(r.shape), room(r.shape), room(r.shape)
+    z[:], z_own = r, r_own.copy()
     _solve(M, z)
     _solve(M_own, z_own)
     _keep(z_own, free_own)
-    d, d_own = z.copy(), z_own.copy()
-    y, y_own = np.empty_like(x), np.empty_like(x_own)
+    d[:], s[:] = z, r
+    d_own, y_own = z_own.copy(), np.empty_like(x_own)
     rz = _dot(r, z) + _dot(r_own, z_own)
     enough, products = min(forcing, sqrt(rz)) ** 2 * rz, 0
     if not rz < np.inf:
         return False, 0
     while products < most and rz > enough:
         products += 1
-        _multiply(H, d, y)
+        _without(cushion, s, d, y)
         _multiply(H_own, d_own, y_own)
         _add_pairs(pairs, curves, i, j, robot, d, d_own, y, y_own)
         _keep(y_own, free_own)
@@ -214,17 +271,18 @@ def _conjugate(
         _keep(z_own, free_own)
         after = _dot(r, z) + _dot(r_own, z_own)
         _onto(d, after / rz, z)
+        _onto(s, after / rz, r)
         _onto(d_own, after / rz, z_own)
         rz = after
     return True, products
 
 
-_CHAINS = (given(4), given(1, INT), given(4), given(4))
-_PAIRS = (given(4), INT, INT, given(1, INT), given(1, INT), given(1, INT))
+_CHAINS = (packed(4), packed(1, INT), packed(4), packed(4))
+_PAIRS = (packed(4), INT, INT, packed(1, INT), packed(1, INT), packed(1, INT))
 
 
 @reordered(
-    *_CHAINS, *_PAIRS, given(2), FLOAT, INT, result(3), result(3), result(1, BOOL), result(1, INT)
+    *_CHAINS, *_PAIRS, packed(2), FLOAT, INT, result(3), result(3), result(1, BOOL), result(1, INT)
 )
 def newton(
     people: Array,
@@ -265,18 +323,26 @@ def newton(
         products: Is told how many products it took, shape (B,).
     """
     B, S, P = blocks.shape[0], blocks.shape[1], blocks.shape[2]
+    rows, width, n = people.shape[1], people.shape[2], people.shape[3]
     near, kept = np.empty((S * P, 2), np.intp), np.empty((S * P, 3))
+    lanes = -(-n // REGISTER) * REGISTER
+    M, shared = room((rows, width, lanes)), room((rows // PERSON, 3, lanes))
+    x, r = room((rows, lanes)), room((rows, lanes))
     for b in range(B):
-        count = _near(blocks[b], first, stride, near, kept)
-        pairs, curves = near[:count], kept[:count]
-        M, M_own = people[row[b]].copy(), cushion[b].copy()
-        _cushion(pairs, curves, i, j, robot, M, M_own)
-        x, x_own = step[b], step_own[b]
-        r, r_own = -x, -x_own
+        least = SLIGHT * _softest(people[row[b]])
+        count = _near(blocks[b], least, first, stride, near, kept)
+        pairs, curves, M_own = near[:count], kept[:count], cushion[b].copy()
+        _cushion(pairs, curves, i, j, robot, shared, M_own)
+        _widen(people[row[b]], M)
+        _add(shared, M)
+        x_own = step_own[b]
+        r_own = -x_own
+        r[:, :n], r[:, n:] = -step[b], 0.0
         x[:], x_own[:] = 0.0, 0.0
         definite[b], products[b] = False, 0
         if _factorise(M) and _factorise(M_own):
             definite[b], products[b] = _conjugate(
-                people[row[b]], own[b], pairs, curves, i, j, robot, free_own,
+                shared, own[b], pairs, curves, i, j, robot, free_own,
                 M, M_own, r, r_own, forcing, most, x, x_own,
             )  # fmt: skip
+        step[b] = x[:, :n]

@@ -9,13 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
 from numba import njit, types
 from numba.core.compiler import Compiler
+from numba.extending import register_jitable
 
 F = TypeVar("F", bound=Callable[..., Any])
 INT, FLOAT, BOOL = types.intp, types.float64, types.boolean
 REORDERED = {"contract", "reassoc", "nsz", "arcp"}
 """What may be done to sums and products: NaN and inf still count."""
+
+
+REGISTER = 8
+"""Numbers that a register holds at most; the memory of as many is read at once."""
 
 
 class Decorator(Protocol):
@@ -82,3 +88,14 @@ def _compiled(arguments: tuple[Any, ...], fastmath: Any, **more: Any) -> Decorat
         return kept
 
     return outer
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def room(shape: tuple[int, ...]) -> Any:
+    """An array that is not written yet and begins where a register's load does."""
+    size = 1
+    for length in shape:
+        size *= length
+    numbers = np.empty(size + REGISTER)
+    first = (-numbers.ctypes.data % (8 * REGISTER)) // 8
+    return numbers[first : first + size].reshape(shape)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.compiled.kernel import INT, exact, given, result
+from fgplan.compiled.kernel import INT, exact, packed, result
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@exact(given(2), given(2), given(2, INT), given(2, INT), given(3), result(3))
+@exact(packed(2), packed(2), packed(2, INT), packed(2, INT), packed(3), result(3))
 def multiply(
     diagonal: Array, upper: Array, own: Index, links: Index, d: Array, product: Array
 ) -> None:

@@ -6,7 +6,7 @@ rare, presences that are not small and contacts, is gone through pair by pair.
 
 from __future__ import annotations
 
-from math import log1p, sqrt
+from math import exp, log1p, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,13 @@ def relative(bodies: Array, i: Index, j: Index, delta: Array, squared: Array) ->
     for p in range(len(i)):
         delta[0, p] = bodies[i[p], 0] - bodies[j[p], 0]
         delta[1, p] = bodies[i[p], 1] - bodies[j[p], 1]
-    for p in range(len(i)):
+    _square(delta, squared)
+
+
+@exact()
+def _square(delta: Array, squared: Array) -> None:
+    """Rounded as numpy does: near contact 1 − u has few digits."""
+    for p in range(len(squared)):
         squared[p] = delta[0, p] * delta[0, p] + delta[1, p] * delta[1, p]
 
 
@@ -74,7 +80,8 @@ def energies(squared: Array, table: Array, presence: Array, energy: Array) -> No
     """
     _presences(squared, table, presence, energy)
     for p in range(len(squared)):
-        if presence[p] >= FAINT:
+        if presence[p] >= FAINT:  # 1 − u may be small: now every digit counts
+            presence[p] = table[0, p] * exp(table[1, p] * squared[p])
             energy[p] = -table[2, p] * log1p(-presence[p])
 
 

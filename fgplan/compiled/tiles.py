@@ -9,12 +9,22 @@ take 1.6 times as long column by column, and three times as long by LAPACK's `dp
 
 from __future__ import annotations
 
-from math import inf, prod
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgplan.compiled.kernel import BOOL, INT, apart, exact, given, reordered, result
+from fgplan.compiled.kernel import (
+    BOOL,
+    INT,
+    REGISTER,
+    apart,
+    exact,
+    given,
+    packed,
+    reordered,
+    result,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -22,7 +32,7 @@ Mask = NDArray[np.bool_]
 Columns = tuple[Array, ...]
 Factors = tuple[float, ...]
 
-PANEL = 8
+PANEL = REGISTER
 """Columns of a tile: what is unrolled here is written for as many."""
 HALF = 4
 
@@ -36,15 +46,6 @@ def shape(rows: int, width: int) -> tuple[int, int, int]:
     """
     whole = -(-(width - 1) // PANEL) * PANEL
     return -(-rows // PANEL), PANEL, PANEL + whole
-
-
-def room(count: int, rows: int, width: int) -> Array:
-    """Room for tiles (count, *shape) that begins where a register's load does."""
-    full = count, *shape(rows, width)
-    size = prod(full)
-    numbers = np.empty(size + PANEL)
-    first = -numbers.ctypes.data % (PANEL * numbers.itemsize) // numbers.itemsize
-    return numbers[first : first + size].reshape(full)
 
 
 def laid(bands: Array) -> Array:
@@ -62,7 +63,7 @@ def laid(bands: Array) -> Array:
     return tiles
 
 
-@exact(result(4), given(4), INT, INT, given(1, INT))
+@exact(result(4), packed(4), INT, INT, packed(1, INT))
 def add(tiles: Array, part: Array, first: int, stride: int, places: Index) -> None:
     """Add symmetric blocks (B, steps, s, s) into tiles (B, *shape); `places` (s,) are the rows of
     the first block, those of the next one are `stride` further."""
@@ -72,8 +73,9 @@ def add(tiles: Array, part: Array, first: int, stride: int, places: Index) -> No
                 row = first + k * stride + places[r]
                 for c in range(r + 1):
                     column = first + k * stride + places[c]
-                    p, q = divmod(min(row, column), PANEL)
-                    tiles[b, p, q, max(row, column) - p * PANEL] += part[b, k, r, c]
+                    p = min(row, column) // PANEL
+                    q, at = min(row, column) - p * PANEL, max(row, column) - p * PANEL
+                    tiles[b, p, q, at] += part[b, k, r, c]
 
 
 @apart()

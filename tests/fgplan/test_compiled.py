@@ -31,8 +31,8 @@ from tests.scenes import CORRIDOR, ONE, STACK, believed, dense, jittered, random
 
 pytest.importorskip("numba")
 from fgplan.compiled import Compiled
-from fgplan.compiled.kernel import exact, result
-from fgplan.compiled.tiles import PANEL, add, laid, room, shape, solve
+from fgplan.compiled.kernel import exact, result, room
+from fgplan.compiled.tiles import PANEL, add, laid, shape, solve
 
 STEPS = 4
 seeds = st.integers(0, 2**32 - 1)
@@ -320,7 +320,7 @@ def test_narrow_and_wide_bands_have_the_steps_of_numpy(D):
 
 def test_tiles_begin_where_a_register_is_loaded_at_once():
     for count, rows, width in ((1, 10, 5), (3, 17, 9)):
-        tiles = room(count, rows, width)
+        tiles = room((count, *shape(rows, width)))
         assert tiles.shape == (count, *shape(rows, width))
         assert tiles.ctypes.data % 64 == 0
         assert tiles.flags.c_contiguous

@@ -53,7 +53,7 @@ def expanded(assembly: Assembly, X, which):
 
 
 def tight(q: Sparse):
-    return q._solved(q.gradient, q._which, *TIGHT)
+    return q._solved(q.gradient, q.which, *TIGHT)
 
 
 def states(assembly: Assembly, seed: int):
