@@ -30,6 +30,7 @@ RANKS = [
     {"crowd"},
     {"tactical"},
     {"obeying", "task_file"},
+    {"scenario_table", "structure"},
     {"scenario_file"},
     {"safety"},
     {"starts", "mixture", "recordings"},

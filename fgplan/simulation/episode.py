@@ -120,13 +120,11 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
     errand = Errand(world.scenario)
     events = sorted(world.events, key=lambda event: event.time)
     log = _Log(body, people, int(np.ceil(rules.time_limit / rules.period)))
-    dt = rules.period / rules.substeps
-    start, step, end, error = world.scenario.now, 0, End.TIMEOUT, ""
+    step, end, error = 0, End.TIMEOUT, ""
     inside = [False for _ in world.via]
     entries = [0 for _ in world.via]
     while step * rules.period < rules.time_limit - 1e-9:
         elapsed = step * rules.period
-        time = round(start + elapsed, 9)
         news, facts = None, dict[str, bool]()
         while events and events[0].time <= elapsed + 1e-9:
             event = events.pop(0)
@@ -134,21 +132,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             if event.goal is not None:
                 goal = news = np.asarray(event.goal, dtype=float)
         errand.told(facts)
-        seen = world.sensor(time, body, people)
-        observation = Observation(
-            time=time,
-            position=body.position,
-            velocity=body.velocity,
-            heading=body.heading,
-            yaw_rate=body.yaw_rate,
-            detections=seen.detections,
-            grid=seen.grid,
-            goal=news,
-            facts=facts,
-            operator=() if world.operator is None else world.operator(time, body, people),
-        )
-        if world.tamper is not None:
-            observation = world.tamper(observation)
+        observation = _observed(world, body, elapsed, news, facts)
         before = perf_counter()
         try:
             command = policy.step(observation)
@@ -158,15 +142,7 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
         took = perf_counter() - before
         if watch is not None:
             watch(Moment(observation, command, people))
-        gap, blocked = np.inf, False
-        for _ in range(rules.substeps):
-            disc = Disc(body.position, body.velocity, body.radius, rules.seen_by_people)
-            was = Still(people.positions, people.velocities, people.present.copy())
-            people.advance(dt, disc)
-            body.advance(command, dt, world.grid)
-            errand.moved(disc.position, body.position)
-            gap = min(gap, rules.gap(disc, was, body, people, dt))
-            blocked |= body.blocked
+        gap, blocked = _moved(world, body, command, errand)
         step += 1
         log.add(body, people, command, took, gap, blocked)
         if gap < 0 and rules.contact_ends:
@@ -180,13 +156,52 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
         if all(entries) and there and errand.done:
             end = End.GOAL
             break
-    reference = world.reference
-    if reference is None:
-        reference = way_of(world.scenario)
-    if reference is None:
-        reference = float(np.hypot(*(goal - world.scenario.robot.position)))
     delays = getattr(people, "delays", np.zeros(0))
-    return log.episode(world, end, goal, reference, delays, tuple(entries), error, errand)
+    return log.episode(world, end, goal, _way(world, goal), delays, tuple(entries), error, errand)
+
+
+def _observed(
+    world: World, body: Body, elapsed: float, news: Array | None, facts: dict[str, bool]
+) -> Observation:
+    """What the robot is told at a step: of the world, of a new goal, and of facts."""
+    time = round(world.scenario.now + elapsed, 9)
+    seen = world.sensor(time, body, world.people)
+    observation = Observation(
+        time=time,
+        position=body.position,
+        velocity=body.velocity,
+        heading=body.heading,
+        yaw_rate=body.yaw_rate,
+        detections=seen.detections,
+        grid=seen.grid,
+        goal=news,
+        facts=facts,
+        operator=() if world.operator is None else world.operator(time, body, world.people),
+    )
+    return observation if world.tamper is None else world.tamper(observation)
+
+
+def _moved(world: World, body: Body, command: Command, errand: Errand) -> tuple[float, bool]:
+    """Robot and people go on for a period: the least gap [m], and whether a wall was in the way."""
+    rules, people = world.rules, world.people
+    dt, gap, blocked = rules.period / rules.substeps, np.inf, False
+    for _ in range(rules.substeps):
+        disc = Disc(body.position, body.velocity, body.radius, rules.seen_by_people)
+        was = Still(people.positions, people.velocities, people.present.copy())
+        people.advance(dt, disc)
+        body.advance(command, dt, world.grid)
+        errand.moved(disc.position, body.position)
+        gap = min(gap, rules.gap(disc, was, body, people, dt))
+        blocked |= body.blocked
+    return gap, blocked
+
+
+def _way(world: World, goal: Array) -> float:
+    """What the robot's path is compared with [m]: the shortest way, without one the straight."""
+    reference = way_of(world.scenario) if world.reference is None else world.reference
+    return (
+        float(np.hypot(*(goal - world.scenario.robot.position))) if reference is None else reference
+    )
 
 
 class _Log:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from fgplan import scenario_file
 from fgplan.errors import FgplanError, Mistake
 from fgplan.mission import Mission
 from fgplan.scenario import FieldOfView
 from fgplan.simulation.operators import operator_named
 from fgplan.simulation.sensor import Quality
+from fgplan.structure import mistake
 from fgplan.tables import Flag, Number, Point, Table, Text, Whole
 
 Box = tuple[Number, Number, Number, Number]
@@ -131,7 +131,7 @@ def understood(
         table = _Root.model_validate({"world": raw["world"]}).world
     except ValidationError as error:
         issues = error.errors(include_url=False)
-        return None, [scenario_file.mistake(issue["loc"], issue, _Root) for issue in issues]
+        return None, [mistake(issue["loc"], issue, _Root) for issue in issues]
     return table, list(_senseless(table, regions))
 
 

@@ -9,10 +9,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fgplan import scenario_file
 from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import Scenario
+from fgplan.scenario_table import FileTable
 from fgplan.shared_control import Stick, read_joy, write_joy
+from fgplan.structure import table_of
 
 DATA = Path(__file__).parents[2] / "data"
 SCENARIOS = sorted((DATA / "scenarios").glob("*.toml"))
@@ -94,11 +95,11 @@ def test_crowd_case_is_the_empty_case_with_five_people() -> None:
 
 def test_example_shows_every_key() -> None:
     text = (DATA / "scenarios" / "three_corridors_crowd.toml").read_text(encoding="utf-8")
-    tables = [scenario_file._File]
+    tables = [FileTable]
     while tables:
         for name, field in tables.pop().model_fields.items():
             assert name in text, f"{name} is not explained"
             try:
-                tables.append(scenario_file._table_of(field.annotation))
+                tables.append(table_of(field.annotation))
             except IndexError:  # a value, not a table
                 continue

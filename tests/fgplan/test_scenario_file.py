@@ -17,6 +17,17 @@ from fgplan.holonomic import Holonomic
 from fgplan.occupancy import OccupancyGrid
 from fgplan.robots import RobotModel
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
+from fgplan.scenario_table import (
+    DensityTable,
+    FieldOfViewTable,
+    FileTable,
+    GivenTable,
+    LevelTable,
+    PersonTable,
+    RobotTable,
+)
+from fgplan.structure import structured
+from fgplan.tables import Table
 from fgplan.validation import validate
 from fgplan.wheeled import CarLike, DifferentialDrive
 
@@ -148,16 +159,16 @@ def test_everything_that_a_file_can_say_arrives(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "owner", "renamed"),
     [
-        (scenario_file._Robot, Robot, {key: set() for key in scenario_file._model_keys()}),
-        (scenario_file._Density, Density, {}),
-        (scenario_file._FieldOfView, FieldOfView, {}),
-        (scenario_file._Level, Level, {}),
-        (scenario_file._Given, GivenPlan, {}),
-        (scenario_file._Person, Track, {"id": {"identity"}, "track": {"times", "positions"}}),
+        (RobotTable, Robot, {key: set() for key in scenario_file._model_keys()}),
+        (DensityTable, Density, {}),
+        (FieldOfViewTable, FieldOfView, {}),
+        (LevelTable, Level, {}),
+        (GivenTable, GivenPlan, {}),
+        (PersonTable, Track, {"id": {"identity"}, "track": {"times", "positions"}}),
     ],
 )
 def test_keys_of_a_table_are_the_fields_of_its_dataclass(
-    table: type[scenario_file.Table], owner: type, renamed: dict[str, set[str]]
+    table: type[Table], owner: type, renamed: dict[str, set[str]]
 ) -> None:
     keys = set().union(*(renamed.get(key, {key}) for key in table.model_fields))
     assert keys == {field.name for field in dataclasses.fields(owner)}
@@ -483,7 +494,7 @@ def test_whatever_a_file_says_it_is_a_scenario_or_a_typed_error(data: st.DataObj
             break
         place = inner
     place[key] = data.draw(VALUES)  # type: ignore[index]
-    table, found = scenario_file._structure(raw)
+    table, found = structured(raw, FileTable)
     try:
         scenario = scenario_file._understand(table, found, Path("case.toml"))
     except ScenarioError as error:
