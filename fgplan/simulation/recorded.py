@@ -43,6 +43,7 @@ DENSITY = {
     "t_ref": 0.25,
     "contact_margin": 0.5,
     "contact_sigma": 0.09,
+    "alpha": 0.8,
 }
 """What differs from the defaults; chosen on the cases of `seq_eth`."""
 CLEARANCE = 0.4
