@@ -26,6 +26,7 @@ WHOLE = Settings(deadline=None)
 
 PLANNERS: dict[str, Maker] = {
     "fgplan": Fgplan(),
+    "fgplan-in-time": Fgplan(settings=Settings()),
     "fgplan-one-hypothesis": Fgplan(count=1),
     "fgplan-one-start": Fgplan(settings=replace(WHOLE, starts=only_plan)),
     "fgplan-no-interaction": Fgplan(density={"alpha": 0.0}),
