@@ -34,8 +34,13 @@ SLIGHT = 1e-9
 def _widen(chains: Array, wide: Array) -> None:
     """Copy n chains in a band (rows, width, n) to where there is room for more: those are
     identities, so that no loop over chains has a rest."""
-    n = chains.shape[2]
-    wide[:, :, :n], wide[:, :, n:], wide[:, 0, n:] = chains, 0.0, 1.0
+    rows, width, n = chains.shape
+    for c in range(rows):
+        for o in range(width):
+            for q in range(n):
+                wide[c, o, q] = chains[c, o, q]
+            for q in range(n, wide.shape[2]):
+                wide[c, o, q] = 1.0 if o == 0 else 0.0
 
 
 @reordered()
@@ -135,7 +140,8 @@ def _cushion(
 ) -> None:
     """What each pair curves upwards, as if its bodies moved alone: xx, xy, yy of the people's
     positions, shape (S, 3, n), and added to the robot's own chain."""
-    people[:] = 0.0
+    for k in range(people.shape[0]):
+        _fill(people[k], 0.0)
     for entry in range(len(near)):
         k, p = near[entry, 0], near[entry, 1]
         xx, xy, yy = blocks[entry, 0], blocks[entry, 1], blocks[entry, 2]
@@ -170,7 +176,7 @@ def _add(cushion: Array, M: Array) -> None:
 @reordered()
 def _without(cushion: Array, s: Array, d: Array, y: Array) -> None:
     """y ← s − C d, with a cushion C (S, 3, n) and vectors (4 S, n)."""
-    y[:] = s
+    _copy(s, y)
     for k in range(cushion.shape[0]):
         c = PERSON * k
         for q in range(cushion.shape[2]):
@@ -192,6 +198,31 @@ def _near(blocks: Array, least: float, first: int, stride: int, near: Index, kep
                     kept[count, c] = blocks[k, p, c]
                 count += 1
     return count
+
+
+@reordered()
+def _fill(x: Array, value: float) -> None:
+    for r in range(x.shape[0]):
+        for q in range(x.shape[1]):
+            x[r, q] = value
+
+
+@reordered()
+def _copy(x: Array, y: Array) -> None:
+    """y ← x, as many columns as y has. Slices say the same, and take seconds to compile."""
+    for r in range(y.shape[0]):
+        for q in range(y.shape[1]):
+            y[r, q] = x[r, q]
+
+
+@reordered()
+def _downwards(g: Array, r: Array) -> None:
+    """r ← −g, and 0 in columns that g does not have."""
+    for c in range(r.shape[0]):
+        for q in range(g.shape[1]):
+            r[c, q] = -g[c, q]
+        for q in range(g.shape[1], r.shape[1]):
+            r[c, q] = 0.0
 
 
 @reordered()
@@ -239,12 +270,15 @@ def _conjugate(
     Chains without their cushion are not multiplied: M z = r, and so M d follows by recurrence
     (Eisenstat)."""
     z, d, s, y = room(r.shape), room(r.shape), room(r.shape), room(r.shape)
-    z[:], z_own = r, r_own.copy()
+    z_own, d_own, y_own = room(r_own.shape), room(r_own.shape), room(r_own.shape)
+    _copy(r, z)
+    _copy(r_own, z_own)
     _solve(M, z)
     _solve(M_own, z_own)
     _keep(z_own, free_own)
-    d[:], s[:] = z, r
-    d_own, y_own = z_own.copy(), np.empty_like(x_own)
+    _copy(z, d)
+    _copy(z_own, d_own)
+    _copy(r, s)
     rz = _dot(r, z) + _dot(r_own, z_own)
     enough, products = min(forcing, sqrt(rz)) ** 2 * rz, 0
     if not rz < np.inf:
@@ -258,14 +292,16 @@ def _conjugate(
         curvature = _dot(d, y) + _dot(d_own, y_own)
         if not curvature > 0:
             if products == 1:
-                x[:], x_own[:] = d, d_own
+                _copy(d, x)
+                _copy(d_own, x_own)
             return False, products
         share = rz / curvature
         _along(x, share, d)
         _along(x_own, share, d_own)
         _along(r, -share, y)
         _along(r_own, -share, y_own)
-        z[:], z_own[:] = r, r_own
+        _copy(r, z)
+        _copy(r_own, z_own)
         _solve(M, z)
         _solve(M_own, z_own)
         _keep(z_own, free_own)
@@ -328,21 +364,24 @@ def newton(
     lanes = -(-n // REGISTER) * REGISTER
     M, shared = room((rows, width, lanes)), room((rows // PERSON, 3, lanes))
     x, r = room((rows, lanes)), room((rows, lanes))
+    M_own, x_own, r_own = room(own.shape[1:]), room(step_own.shape[1:]), room(step_own.shape[1:])
     for b in range(B):
         least = SLIGHT * _softest(people[row[b]])
         count = _near(blocks[b], least, first, stride, near, kept)
-        pairs, curves, M_own = near[:count], kept[:count], cushion[b].copy()
-        _cushion(pairs, curves, i, j, robot, shared, M_own)
+        pairs, curves = near[:count], kept[:count]
+        _widen(cushion[b], M_own)
         _widen(people[row[b]], M)
+        _cushion(pairs, curves, i, j, robot, shared, M_own)
         _add(shared, M)
-        x_own = step_own[b]
-        r_own = -x_own
-        r[:, :n], r[:, n:] = -step[b], 0.0
-        x[:], x_own[:] = 0.0, 0.0
+        _downwards(step[b], r)
+        _downwards(step_own[b], r_own)
+        _fill(x, 0.0)
+        _fill(x_own, 0.0)
         definite[b], products[b] = False, 0
         if _factorise(M) and _factorise(M_own):
             definite[b], products[b] = _conjugate(
                 shared, own[b], pairs, curves, i, j, robot, free_own,
                 M, M_own, r, r_own, forcing, most, x, x_own,
             )  # fmt: skip
-        step[b] = x[:, :n]
+        _copy(x, step[b])
+        _copy(x_own, step_own[b])
