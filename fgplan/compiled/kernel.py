@@ -6,7 +6,9 @@ are imported, and not later, when there may be no time for it.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from functools import cache
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -85,9 +87,19 @@ def _compiled(arguments: tuple[Any, ...], fastmath: Any, **more: Any) -> Decorat
             kept: F = njit(signature, cache=True, **options)(function)
         except RuntimeError:  # there is nowhere to keep it
             kept = njit(signature, **options)(function)
+        if kept.stats.cache_misses or not kept.stats.cache_path:  # type: ignore[attr-defined]
+            _tell()
         return kept
 
     return outer
+
+
+@cache
+def _tell() -> None:
+    """Say once why the first process waits."""
+    logging.getLogger("fgplan").warning(
+        "compiling kernels: some 15 s, once a machine where they can be kept"
+    )
 
 
 @register_jitable  # type: ignore[untyped-decorator]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -81,22 +82,22 @@ class Pairs(Residual):
         """The expansion with its Hessian pair by pair; with `flat`, Gauss–Newton's."""
         robot, crowd = _variables(x)
         shape, size = robot.shape[:2], len(self.positions)
-        energy, gradient = np.zeros(shape), np.zeros((*shape, size))
+        energy, gradient = np.empty(shape), np.zeros((*shape, size))
         blocks = np.empty((*shape, len(self.i), 3))
         bodies = robot, crowd, self.held, self.i, self.j, self.table
-        _expand_by_pair(*bodies, flat, energy, gradient, blocks)
+        _expand(*bodies, flat, energy, gradient, blocks)
         batch = x[0].shape[:-1]
         return ByPair(
             *(part.reshape(*batch, *part.shape[2:]) for part in (energy, gradient, blocks))
         )
 
     def _expansion(self, x: tuple[Array, ...], flat: bool) -> Expansion:
-        robot, crowd = _variables(x)
-        shape, size = robot.shape[:2], len(self.positions)
-        sums = Expansion(np.zeros(shape), np.zeros((*shape, size)), np.zeros((*shape, size, size)))
-        _expand(robot, crowd, self.held, self.i, self.j, self.table, flat, *sums)
-        batch = x[0].shape[:-1]
-        return Expansion(*(part.reshape(*batch, *part.shape[2:]) for part in sums))
+        energy, gradient, blocks = self.by_pair(*x, flat=flat)
+        hessian = np.zeros((*gradient.shape, gradient.shape[-1]))
+        many = prod(energy.shape[:-1])
+        parts = (part.reshape(many, *part.shape[-3:]) for part in (blocks, hessian))
+        _lay_out(self.i, self.j, *parts)
+        return Expansion(energy, gradient, hessian)
 
 
 def fused(terms: Sequence[Term]) -> Iterator[Term]:
@@ -256,7 +257,7 @@ def _curve(delta: Array, a: Array, b: Array, blocks: Array) -> None:
 
 
 @exact(*_STATES, *_TABLE, BOOL, result(2), result(3), result(4))
-def _expand_by_pair(
+def _expand(
     robot: Array,
     crowd: Array,
     held: Array,
@@ -283,24 +284,12 @@ def _expand_by_pair(
             _curve(delta, a, b, blocks[n, k])
 
 
-@exact(*_STATES, *_TABLE, BOOL, result(2), result(3), result(4))
-def _expand(
-    robot: Array,
-    crowd: Array,
-    held: Array,
-    i: Index,
-    j: Index,
-    table: Array,
-    flat: bool,
-    energy: Array,
-    gradient: Array,
-    hessian: Array,
-) -> None:
-    m, shape = gradient.shape[2] // 2, gradient.shape
-    blocks = np.empty((shape[0], shape[1], len(i), 3))
-    _expand_by_pair(robot, crowd, held, i, j, table, flat, energy, gradient, blocks)
-    for n in range(shape[0]):
-        for k in range(shape[1]):
+@exact(packed(1, INT), packed(1, INT), packed(4), result(4))
+def _lay_out(i: Index, j: Index, blocks: Array, hessian: Array) -> None:
+    """Add the blocks of pairs to the Hessians of the first bodies."""
+    m = hessian.shape[2] // 2
+    for n in range(hessian.shape[0]):
+        for k in range(hessian.shape[1]):
             H = hessian[n, k]
             for p in range(len(i)):
                 r, c = 2 * i[p], 2 * j[p]
