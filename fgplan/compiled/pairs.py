@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -80,24 +79,27 @@ class Pairs(Residual):
 
     def by_pair(self, *x: Array, flat: bool = False) -> ByPair:
         """The expansion with its Hessian pair by pair; with `flat`, Gauss–Newton's."""
+        batch = x[0].shape[:-1]
+        parts = (part.reshape(*batch, *part.shape[2:]) for part in self._expanded(x, flat))
+        return ByPair(*parts)
+
+    def _expansion(self, x: tuple[Array, ...], flat: bool) -> Expansion:
+        energy, gradient, blocks = self._expanded(x, flat)
+        hessian = np.zeros((*gradient.shape, gradient.shape[-1]))
+        _lay_out(self.i, self.j, blocks, hessian)
+        batch = x[0].shape[:-1]
+        parts = (part.reshape(*batch, *part.shape[2:]) for part in (energy, gradient, hessian))
+        return Expansion(*parts)
+
+    def _expanded(self, x: tuple[Array, ...], flat: bool) -> tuple[Array, Array, Array]:
+        """Energy (N, S), gradient (N, S, s) and blocks (N, S, P, 3)."""
         robot, crowd = _variables(x)
-        shape, size = robot.shape[:2], len(self.positions)
-        energy, gradient = np.empty(shape), np.zeros((*shape, size))
+        shape = robot.shape[:2]
+        energy, gradient = np.empty(shape), np.zeros((*shape, len(self.positions)))
         blocks = np.empty((*shape, len(self.i), 3))
         bodies = robot, crowd, self.held, self.i, self.j, self.table
         _expand(*bodies, flat, energy, gradient, blocks)
-        batch = x[0].shape[:-1]
-        return ByPair(
-            *(part.reshape(*batch, *part.shape[2:]) for part in (energy, gradient, blocks))
-        )
-
-    def _expansion(self, x: tuple[Array, ...], flat: bool) -> Expansion:
-        energy, gradient, blocks = self.by_pair(*x, flat=flat)
-        hessian = np.zeros((*gradient.shape, gradient.shape[-1]))
-        many = prod(energy.shape[:-1])
-        parts = (part.reshape(many, *part.shape[-3:]) for part in (blocks, hessian))
-        _lay_out(self.i, self.j, *parts)
-        return Expansion(energy, gradient, hessian)
+        return energy, gradient, blocks
 
 
 def fused(terms: Sequence[Term]) -> Iterator[Term]:
