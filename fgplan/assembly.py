@@ -19,6 +19,7 @@ from factors.residual import Expansion, Linear, Residual
 from factors.unicycle import UnicycleMotion
 from fgplan.backend import Backend, fastest
 from fgplan.block_tridiagonal import Chains, System, chunks, solve_each
+from fgplan.entries import Entries, Piece
 from fgplan.model import Model, Term
 from fgplan.shear import Shear
 from fgplan.systems import Systems
@@ -178,8 +179,7 @@ class Assembly:
 
     Attributes:
         pace: What a start took in the last iteration of a solver [s].
-        pattern: Which entries of the constant blocks (k, k) and (k, k + 1) are anywhere not zero,
-            (D, D) each.
+        entries: The constant part of the Hessians, of which `row` says whose each is.
 
     Raises:
         ValueError: the models do not share their terms, a hypothesis's own term is not linear, or
@@ -250,9 +250,8 @@ class Assembly:
         # Plans that differ only in where they lead share one constant Hessian.
         alike = all(_same_curvature(model, self.models[0]) for model in self.models)
         self.row = np.zeros(K, dtype=np.intp) if alike else np.arange(K)
-        self._diagonal = np.zeros((self.row[-1] + 1, S, D, D))
-        self._upper = np.zeros((self.row[-1] + 1, S - 1, D, D))
         self.gradient, self.constant = np.zeros((K, S, D)), np.zeros(K)
+        pieces: list[tuple[slice, Piece]] = []
         columns = self.models[0].columns
         for term in self.models[0].shared:
             if isinstance(term.residual, Linear):
@@ -260,10 +259,10 @@ class Assembly:
                 part = term.residual.gauss_newton(*wired.variables(self.reference))
                 self.constant += part.energy.sum(-1)
                 wired.add_gradient(part.gradient, self.gradient)
-                wired.add_constant(term.residual.information, self._diagonal, self._upper)
+                block = term.residual.information
+                pieces += [(slice(None), piece) for piece in wired.constant(block)]
         for i, model in enumerate(self.models):
             row = self.row[i]
-            chain = self._diagonal[row : row + 1], self._upper[row : row + 1]
             for term in model.own:
                 assert isinstance(term.residual, Linear)  # or there is no assembly
                 wired = wire(term, columns, self.order)
@@ -271,16 +270,16 @@ class Assembly:
                 self.constant[i] += float(part.energy.sum())
                 wired.add_gradient(part.gradient, self.gradient[i])
                 if i == 0 or row > 0:
-                    wired.add_constant(term.residual.information, *chain)
-        # What of the chains is not zero is looked for once: there is little of it.
-        self.pattern = np.any(self._diagonal, axis=(0, 1)), np.any(self._upper, axis=(0, 1))
-        blocks = zip(self._diagonal, self._upper, strict=True)
-        self._products = [self.backend.product(*each, *self.pattern) for each in blocks]
+                    block = term.residual.information
+                    pieces += [(slice(row, row + 1), piece) for piece in wired.constant(block)]
+        self.entries = Entries.of((self.row[-1] + 1, S, D), pieces)
+        chains = range(len(self.entries.own.values))
+        self._products = [self.backend.product(self.entries, row) for row in chains]
 
     @cached_property
     def linked(self) -> NDArray[np.bool_]:
         """Which coordinates may be linked to which of the next step by what is not far, (D, D)."""
-        linked: NDArray[np.bool_] = self.pattern[1].copy()
+        linked = self.entries.ahead.mask
         for wired in self.nonlinear:
             for at_row, into_rows, _ in wired.runs:
                 for at_column, into_columns, _ in wired.runs:
@@ -391,16 +390,9 @@ class Assembly:
             product[rows == i] = self._products[i](flat[rows == i])
         return product.reshape(d.shape)
 
-    @property
-    def constant_hessians(self) -> tuple[Array, Array]:
-        """Blocks (K, S, D, D) and (K, S − 1, D, D), of which `row` says whose each is; not to be
-        written."""
-        return self._diagonal, self._upper
-
     def linear_hessian(self, which: Index) -> tuple[Array, Array]:
-        """Copies of the constant Hessian blocks, one per hypothesis asked for."""
-        rows = self.row[which]
-        return self._diagonal[rows], self._upper[rows]
+        """The constant Hessian blocks, laid out, one per hypothesis asked for."""
+        return self.entries.blocks(self.row[which])
 
     def held_hessian(self, which: Index) -> tuple[Array, Array]:
         """The same with `hold_fixed` applied."""

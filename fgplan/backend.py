@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 
 from factors.pairwise import PredictedPairs, Together
 from fgplan.block_tridiagonal import Chains
+from fgplan.entries import Entries
 from fgplan.model import Term
 from fgplan.systems import Systems, banded
 
@@ -65,13 +66,8 @@ class Backend(Protocol):
         """The same density in terms that are faster to evaluate."""
         ...
 
-    def product(self, diagonal: Array, upper: Array, own: Mask, links: Mask) -> Product:
-        """From vectors (N, S, D) to their products with a chain.
-
-        Args:
-            diagonal, upper: Its blocks (S, D, D) and (S − 1, D, D).
-            own, links: Which of their entries may be other than zero, (D, D) each: few.
-        """
+    def product(self, entries: Entries, row: int) -> Product:
+        """From vectors (N, S, D) to their products with one of the chains."""
         ...
 
     def systems(self, chains: Chains) -> Systems:
@@ -103,8 +99,8 @@ class Numpy:
             potential = Together(tuple(own.potential for _, own in group))
             yield replace(term, residual=replace(pairs, potential=potential))
 
-    def product(self, diagonal: Array, upper: Array, own: Mask, links: Mask) -> Product:
-        matrix = _sparse(diagonal, upper, own, links)
+    def product(self, entries: Entries, row: int) -> Product:
+        matrix = _sparse(entries, row)
 
         def times(d: Array) -> Array:
             product = matrix @ d.reshape(len(d), -1).T
@@ -127,17 +123,18 @@ def fastest() -> Backend:
     return Compiled()
 
 
-def _sparse(diagonal: Array, upper: Array, own: Mask, links: Mask) -> csr_array:
-    """A chain, of which most blocks are nearly empty, as a sparse matrix."""
-    S, D, _ = diagonal.shape
+def _sparse(entries: Entries, row: int) -> csr_array:
+    """One of the chains as a sparse matrix."""
+    own, ahead = entries.own, entries.ahead
+    S, D = own.values.shape[1], own.size
     first = D * np.arange(S)[:, None]
-    a, b = np.nonzero(own)
-    rows, columns, values = [first + a], [first + b], [diagonal[:, a, b]]
-    a, b = np.nonzero(links)
+    a, b = own.places.T
+    rows, columns, values = [first + a], [first + b], [own.values[row]]
+    a, b = ahead.places.T
     here, there = first[:-1] + a, first[1:] + b
     rows, columns = [*rows, here, there], [*columns, there, here]
-    values += 2 * [upper[:, a, b]]
-    data, row, column = (
+    values += 2 * [ahead.values[row]]
+    data, i, j = (
         np.concatenate([part.ravel() for part in parts]) for parts in (values, rows, columns)
     )
-    return csr_array((data, (row, column)), shape=(S * D, S * D))
+    return csr_array((data, (i, j)), shape=(S * D, S * D))

@@ -16,6 +16,7 @@ from factors.pairwise import PairTerm
 from fgplan.assembly import Assembly, Quadratic, clamped, hold
 from fgplan.backend import Pairwise
 from fgplan.block_tridiagonal import Chains
+from fgplan.entries import Places
 from fgplan.wiring import BAND, PERSON, Wired, wire
 
 Array = NDArray[np.float64]
@@ -81,9 +82,9 @@ class Layout:
         person = crowd.start + np.arange(crowd.stop - crowd.start).reshape(2, n, 2)
         person = person.transpose(1, 2, 0).reshape(n, PERSON)
         rest = np.setdiff1d(np.arange(D), person)
-        diagonal, upper = assembly.constant_hessians
+        own, ahead = assembly.entries.own, assembly.entries.ahead
         # A person who is known without error would have to be held.
-        if not (assembly.free[:, person].all() and _apart(*assembly.pattern, person, rest)):
+        if not (assembly.free[:, person].all() and _apart(own.mask, ahead.mask, person, rest)):
             return None
         place = {int(column): at for at, column in enumerate(rest)}
         columns = {
@@ -95,7 +96,7 @@ class Layout:
         others = [
             (wired, replace(wire(term, columns, order), held=wired.held)) for term, wired in rest_of
         ]
-        chain = diagonal[:, :, rest[:, None], rest], upper[:, :, rest[:, None], rest]
+        chain = own.at(rest[:, None], rest), ahead.at(rest[:, None], rest)
         free = assembly.free[:, rest]
         hold(free, *chain)
         return cls(
@@ -105,7 +106,7 @@ class Layout:
             tuple(others),
             person,
             rest,
-            _bands(diagonal, upper, person),
+            _bands(own, ahead, person),
             Chains.of(*chain),
             len(rest) * np.arange(S) + place[robot.start],
             free.astype(float).reshape(-1, 1),
@@ -231,15 +232,15 @@ def _apart(linked: Mask, on: Mask, person: Index, rest: Index) -> bool:
     return not (linked & ~allowed).any() and not (on & ~later).any()
 
 
-def _bands(diagonal: Array, upper: Array, person: Index) -> Array:
+def _bands(own: Places, ahead: Places, person: Index) -> Array:
     """Chains of people in a band each, shape (K, 4S, BAND, n)."""
-    K, S = diagonal.shape[:2]
+    K, S = own.values.shape[:2]
     bands = np.zeros((K, S, PERSON, BAND, len(person)))
     for a in range(PERSON):
         for b in range(PERSON):
             row, column = person[:, a], person[:, b]
             if b <= a:
-                bands[:, :, b, a - b] = diagonal[:, :, row, column]
+                bands[:, :, b, a - b] = own.at(row, column)
             if PERSON + b - a < BAND:
-                bands[:, :-1, a, PERSON + b - a] = upper[:, :, row, column]
+                bands[:, :-1, a, PERSON + b - a] = ahead.at(row, column)
     return bands.reshape(K, S * PERSON, BAND, len(person))

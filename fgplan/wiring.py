@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from factors.residual import Expansion, Residual
 from fgplan import keys
 from fgplan.block_tridiagonal import Chains
+from fgplan.entries import Piece
 from fgplan.model import Model, Term
 
 Array = NDArray[np.float64]
@@ -84,17 +85,16 @@ class Wired:
                 elif at_row < at_column:
                     upper[..., self.steps(at_row), into_rows, into_columns] += block
 
-    def add_constant(self, block: Array, diagonal: Array, upper: Array) -> None:
-        """Add one block (s, s) at all its steps; most of a crowd's is zero."""
+    def constant(self, block: Array) -> Iterator[Piece]:
+        """The same block (s, s) at all its steps; most of a crowd's is zero."""
         for at_row, into_rows, rows in self.runs:
             for at_column, into_columns, columns in self.runs:
                 if at_row > at_column:
                     continue
                 part = block[rows, columns]
                 r, c = np.nonzero(part)
-                chain = diagonal if at_row == at_column else upper
-                at = self.steps(at_row), into_rows.start + r, into_columns.start + c
-                chain[:, *at] += part[r, c]
+                ahead, steps = at_row < at_column, self.steps(at_row)
+                yield Piece(ahead, steps, into_rows.start + r, into_columns.start + c, part[r, c])
 
     def add_lower(self, part: Array, chains: Chains) -> None:
         """The same into the band, of the diagonal blocks only what is on and below the diagonal."""

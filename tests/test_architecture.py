@@ -39,6 +39,7 @@ RANKS = [
     {"conditioning", "gating"},
     {"shared_control"},
     {"model"},
+    {"entries"},
     {"wiring"},
     {"systems"},
     {"compiled"},

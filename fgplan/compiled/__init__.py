@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fgplan.block_tridiagonal import Chains, at_once, chunks
 from fgplan.compiled import conjugate, limits, pairs, products, tiles
 from fgplan.compiled.kernel import room
+from fgplan.entries import Entries
 from fgplan.model import Term
 from fgplan.systems import Systems
 from fgplan.wiring import Wired
@@ -32,14 +33,13 @@ class Compiled:
     def fused(self, terms: Sequence[Term]) -> Iterator[Term]:
         return pairs.fused(list(limits.fused(terms)))
 
-    def product(self, diagonal: Array, upper: Array, own: Mask, links: Mask) -> Product:
-        here, ahead = (np.stack(np.nonzero(mask), axis=1) for mask in (own, links))
-        at = np.ascontiguousarray(diagonal[:, *here.T])
-        across = np.ascontiguousarray(upper[:, *ahead.T])
+    def product(self, entries: Entries, row: int) -> Product:
+        own, ahead = entries.own, entries.ahead
+        chain = own.values[row], ahead.values[row], own.places, ahead.places
 
         def times(d: Array) -> Array:
             product = np.zeros(d.shape)
-            products.multiply(at, across, here, ahead, np.ascontiguousarray(d), product)
+            products.multiply(*chain, np.ascontiguousarray(d), product)
             return product
 
         return times
