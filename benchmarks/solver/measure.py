@@ -6,7 +6,7 @@ import os
 import resource
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -291,13 +291,18 @@ def memory() -> float:
         return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-def sizes(short: bool = False, only: Size | None = None) -> tuple[Size, ...]:
+NAMED = {
+    "predicted": (Size(10, 24, 1, crowd="predicted"),),
+    "dense": tuple(Size(n, 30, 3, density=DENSE) for n in (10, 20, 50, 100)),
+}
+"""People held at their prediction; and what the exponent of n is fitted to."""
+
+
+def sizes(short: bool = False, only: Sequence[Size] | None = None) -> tuple[Size, ...]:
     """What is measured, small ones first: the memory of a row includes that of those before."""
-    predicted = Size(10, 24, 1, crowd="predicted")
     if only is not None:
-        return (only,)
+        return tuple(only)
     if short:
-        return (predicted, Size(0, 20, 1), Size(5, 20, 3), Size(10, 20, 1))
+        return (*NAMED["predicted"], Size(0, 20, 1), Size(5, 20, 3), Size(10, 20, 1))
     grid = [Size(n, T, K) for n in (0, 5, 10, 20, 50, 100) for T in (20, 30, 50) for K in (1, 3, 5)]
-    dense = [Size(n, 30, 3, density=DENSE) for n in (10, 20)]
-    return (predicted, *dense, *grid)
+    return (*NAMED["predicted"], *NAMED["dense"][:2], *grid)

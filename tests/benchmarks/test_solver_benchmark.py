@@ -14,7 +14,7 @@ from benchmarks.scenes import APART, ROOM, World
 from benchmarks.solver import whitened
 from benchmarks.solver.__main__ import main
 from benchmarks.solver.ipopt import Program
-from benchmarks.solver.measure import TWELVE, Size, sizes, twelve
+from benchmarks.solver.measure import DENSE, NAMED, TWELVE, Size, sizes, twelve
 from benchmarks.solver.peers import FLOORS, PEERS, floor
 from benchmarks.solver.problem import Problem, cold, warm
 from benchmarks.solver.report import exponent, findings
@@ -155,6 +155,12 @@ def test_all_sizes_of_the_issue_are_measured() -> None:
         for T in (20, 30, 50):
             for K in (1, 3, 5):
                 assert Size(n, T, K) in every
+
+
+def test_the_exponent_of_n_is_fitted_to_one_density() -> None:
+    assert {size.density for size in NAMED["dense"]} == {DENSE}
+    assert len({size.n for size in NAMED["dense"]}) == len(NAMED["dense"]) == 4
+    assert sizes(only=NAMED["dense"]) == NAMED["dense"]
 
 
 def test_json_alone_on_standard_output(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
