@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from benchmarks.scenes import DENSE
+
 Row = dict[str, Any]
 
 REFERENCE = (10, 30, 3)
@@ -67,12 +69,13 @@ def _exponents(rows: Sequence[Row]) -> Iterator[str]:
     """time ∝ T^a at n = 10 and ∝ n^b at 0.5 people per square metre, both with K = 3."""
     for start in ("cold", "warm"):
         own = [r for r in rows if r["start"] == start and r["K"] == REFERENCE[2]]
+        crowded = f"fgplan, {DENSE:g} people/m2"  # and not its floor, which has that name, too
         along_T = [r for r in own if r["solver"] == "fgplan" and r["n"] == REFERENCE[0]]
         dense = [
             r
             for r in own
             if r["T"] == REFERENCE[1]
-            and (r["solver"].endswith(" people/m2") or (r["solver"] == "fgplan" and r["n"] > 20))
+            and (r["solver"] == crowded or (r["solver"] == "fgplan" and r["n"] > 20))
         ]
         for key, chosen, where in (
             ("T", along_T, f"n={REFERENCE[0]}"),

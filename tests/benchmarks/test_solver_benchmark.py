@@ -225,6 +225,10 @@ def test_the_exponent_of_n_is_of_one_density_and_of_one_solver() -> None:
             (10, "fgplan, 0.5 people/m2"), (20, "fgplan, 0.5 people/m2"), (50, "fgplan")
         )
     ]  # fmt: skip
-    rows += [{"n": n, "solver": "fgplan, numpy", "p50_ms": 7.0, **shared} for n in (0, 5, 10)]
+    rows += [
+        {"n": n, "solver": name, "p50_ms": 7.0, **shared}
+        for n in (0, 5, 10)
+        for name in ("fgplan, numpy", "floor, 0.5 people/m2", "floor, LAPACK, 0.5 people/m2")
+    ]
     said = "fgplan warm, T=30, 0.5 people/m2: time ~ n^1.00, per iteration ^1.00"
     assert said in list(findings(rows))
