@@ -18,6 +18,20 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from fgplan.compiled.chains import (
+    along,
+    copy,
+    dot,
+    downwards,
+    factorise,
+    fill,
+    keep,
+    multiply,
+    onto,
+    softest,
+    solve,
+    widen,
+)
 from fgplan.compiled.kernel import BOOL, FLOAT, INT, REGISTER, packed, reordered, result, room
 from fgplan.wiring import PERSON
 
@@ -28,83 +42,6 @@ Mask = NDArray[np.bool_]
 
 SLIGHT = 1e-9
 """A pair that curves by less than this share of a body's own position is as good as none."""
-
-
-@reordered()
-def _widen(chains: Array, wide: Array) -> None:
-    """Copy n chains in a band (rows, width, n) to where there is room for more: those are
-    identities, so that no loop over chains has a rest."""
-    rows, width, n = chains.shape
-    for c in range(rows):
-        for o in range(width):
-            for q in range(n):
-                wide[c, o, q] = chains[c, o, q]
-            for q in range(n, wide.shape[2]):
-                wide[c, o, q] = 1.0 if o == 0 else 0.0
-
-
-@reordered()
-def _softest(chains: Array) -> float:
-    """What a position is held by at least."""
-    least = np.inf
-    for c in range(0, chains.shape[0], 2):
-        for q in range(chains.shape[2]):
-            least = min(least, chains[c, 0, q])
-    return least
-
-
-@reordered()
-def _factorise(A: Array) -> bool:
-    """L with L Lᵀ = H of n chains in a band (rows, width, n), in place, its diagonal inverted."""
-    rows, width, n = A.shape
-    for c in range(rows):
-        least = np.inf
-        for q in range(n):
-            least = min(least, A[c, 0, q])
-        if not least > 0:
-            return False
-        for q in range(n):
-            A[c, 0, q] = 1 / sqrt(A[c, 0, q])
-        for o in range(1, width):
-            for q in range(n):
-                A[c, o, q] *= A[c, 0, q]
-        for o in range(1, min(width, rows - c)):
-            for e in range(o, width):
-                for q in range(n):
-                    A[c + o, e - o, q] -= A[c, o, q] * A[c, e, q]
-    return True
-
-
-@reordered()
-def _solve(L: Array, x: Array) -> None:
-    """x ← (L Lᵀ)⁻¹ x, with the L of `_factorise`; x has shape (rows, n)."""
-    rows, width, n = L.shape
-    for c in range(rows):
-        for q in range(n):
-            x[c, q] *= L[c, 0, q]
-        for o in range(1, min(width, rows - c)):
-            for q in range(n):
-                x[c + o, q] -= L[c, o, q] * x[c, q]
-    for c in range(rows - 1, -1, -1):
-        for o in range(1, min(width, rows - c)):
-            for q in range(n):
-                x[c, q] -= L[c, o, q] * x[c + o, q]
-        for q in range(n):
-            x[c, q] *= L[c, 0, q]
-
-
-@reordered()
-def _multiply(H: Array, x: Array, y: Array) -> None:
-    """y ← H x of n chains in a band (rows, width, n)."""
-    rows, width, n = H.shape
-    for c in range(rows):
-        for q in range(n):
-            y[c, q] = H[c, 0, q] * x[c, q]
-    for c in range(rows):
-        for o in range(1, min(width, rows - c)):
-            for q in range(n):
-                y[c + o, q] += H[c, o, q] * x[c, q]
-                y[c, q] += H[c, o, q] * x[c + o, q]
 
 
 @reordered()
@@ -141,7 +78,7 @@ def _cushion(
     """What each pair curves upwards, as if its bodies moved alone: xx, xy, yy of the people's
     positions, shape (S, 3, n), and added to the robot's own chain."""
     for k in range(people.shape[0]):
-        _fill(people[k], 0.0)
+        fill(people[k], 0.0)
     for entry in range(len(near)):
         k, p = near[entry, 0], near[entry, 1]
         xx, xy, yy = blocks[entry, 0], blocks[entry, 1], blocks[entry, 2]
@@ -176,7 +113,7 @@ def _add(cushion: Array, M: Array) -> None:
 @reordered()
 def _without(cushion: Array, s: Array, d: Array, y: Array) -> None:
     """y ← s − C d, with a cushion C (S, 3, n) and vectors (4 S, n)."""
-    _copy(s, y)
+    copy(s, y)
     for k in range(cushion.shape[0]):
         c = PERSON * k
         for q in range(cushion.shape[2]):
@@ -201,64 +138,6 @@ def _near(blocks: Array, least: float, first: int, stride: int, near: Index, kep
 
 
 @reordered()
-def _fill(x: Array, value: float) -> None:
-    for r in range(x.shape[0]):
-        for q in range(x.shape[1]):
-            x[r, q] = value
-
-
-@reordered()
-def _copy(x: Array, y: Array) -> None:
-    """y ← x, as many columns as y has. Slices say the same, and take seconds to compile."""
-    for r in range(y.shape[0]):
-        for q in range(y.shape[1]):
-            y[r, q] = x[r, q]
-
-
-@reordered()
-def _downwards(g: Array, r: Array) -> None:
-    """r ← −g, and 0 in columns that g does not have."""
-    for c in range(r.shape[0]):
-        for q in range(g.shape[1]):
-            r[c, q] = -g[c, q]
-        for q in range(g.shape[1], r.shape[1]):
-            r[c, q] = 0.0
-
-
-@reordered()
-def _dot(a: Array, b: Array) -> float:
-    total = 0.0
-    for r in range(a.shape[0]):
-        for q in range(a.shape[1]):
-            total += a[r, q] * b[r, q]
-    return total
-
-
-@reordered()
-def _along(x: Array, share: float, d: Array) -> None:
-    """x ← x + share d."""
-    for r in range(x.shape[0]):
-        for q in range(x.shape[1]):
-            x[r, q] += share * d[r, q]
-
-
-@reordered()
-def _onto(d: Array, share: float, z: Array) -> None:
-    """d ← z + share d."""
-    for r in range(d.shape[0]):
-        for q in range(d.shape[1]):
-            d[r, q] = z[r, q] + share * d[r, q]
-
-
-@reordered()
-def _keep(x: Array, free: Array) -> None:
-    """x ← x where it is free, else 0."""
-    for r in range(x.shape[0]):
-        for q in range(x.shape[1]):
-            x[r, q] *= free[r, q]
-
-
-@reordered()
 def _conjugate(
     cushion: Array, H_own: Array, pairs: Index, curves: Array, i: Index, j: Index, robot: Index,
     free_own: Array, M: Array, M_own: Array, r: Array, r_own: Array, forcing: float, most: int,
@@ -271,44 +150,44 @@ def _conjugate(
     (Eisenstat)."""
     z, d, s, y = room(r.shape), room(r.shape), room(r.shape), room(r.shape)
     z_own, d_own, y_own = room(r_own.shape), room(r_own.shape), room(r_own.shape)
-    _copy(r, z)
-    _copy(r_own, z_own)
-    _solve(M, z)
-    _solve(M_own, z_own)
-    _keep(z_own, free_own)
-    _copy(z, d)
-    _copy(z_own, d_own)
-    _copy(r, s)
-    rz = _dot(r, z) + _dot(r_own, z_own)
+    copy(r, z)
+    copy(r_own, z_own)
+    solve(M, z)
+    solve(M_own, z_own)
+    keep(z_own, free_own)
+    copy(z, d)
+    copy(z_own, d_own)
+    copy(r, s)
+    rz = dot(r, z) + dot(r_own, z_own)
     enough, products = min(forcing, sqrt(rz)) ** 2 * rz, 0
     if not rz < np.inf:
         return False, 0
     while products < most and rz > enough:
         products += 1
         _without(cushion, s, d, y)
-        _multiply(H_own, d_own, y_own)
+        multiply(H_own, d_own, y_own)
         _add_pairs(pairs, curves, i, j, robot, d, d_own, y, y_own)
-        _keep(y_own, free_own)
-        curvature = _dot(d, y) + _dot(d_own, y_own)
+        keep(y_own, free_own)
+        curvature = dot(d, y) + dot(d_own, y_own)
         if not curvature > 0:
             if products == 1:
-                _copy(d, x)
-                _copy(d_own, x_own)
+                copy(d, x)
+                copy(d_own, x_own)
             return False, products
         share = rz / curvature
-        _along(x, share, d)
-        _along(x_own, share, d_own)
-        _along(r, -share, y)
-        _along(r_own, -share, y_own)
-        _copy(r, z)
-        _copy(r_own, z_own)
-        _solve(M, z)
-        _solve(M_own, z_own)
-        _keep(z_own, free_own)
-        after = _dot(r, z) + _dot(r_own, z_own)
-        _onto(d, after / rz, z)
-        _onto(s, after / rz, r)
-        _onto(d_own, after / rz, z_own)
+        along(x, share, d)
+        along(x_own, share, d_own)
+        along(r, -share, y)
+        along(r_own, -share, y_own)
+        copy(r, z)
+        copy(r_own, z_own)
+        solve(M, z)
+        solve(M_own, z_own)
+        keep(z_own, free_own)
+        after = dot(r, z) + dot(r_own, z_own)
+        onto(d, after / rz, z)
+        onto(s, after / rz, r)
+        onto(d_own, after / rz, z_own)
         rz = after
     return True, products
 
@@ -366,22 +245,22 @@ def newton(
     x, r = room((rows, lanes)), room((rows, lanes))
     M_own, x_own, r_own = room(own.shape[1:]), room(step_own.shape[1:]), room(step_own.shape[1:])
     for b in range(B):
-        least = SLIGHT * _softest(people[row[b]])
+        least = SLIGHT * softest(people[row[b]])
         count = _near(blocks[b], least, first, stride, near, kept)
         pairs, curves = near[:count], kept[:count]
-        _widen(cushion[b], M_own)
-        _widen(people[row[b]], M)
+        widen(cushion[b], M_own)
+        widen(people[row[b]], M)
         _cushion(pairs, curves, i, j, robot, shared, M_own)
         _add(shared, M)
-        _downwards(step[b], r)
-        _downwards(step_own[b], r_own)
-        _fill(x, 0.0)
-        _fill(x_own, 0.0)
+        downwards(step[b], r)
+        downwards(step_own[b], r_own)
+        fill(x, 0.0)
+        fill(x_own, 0.0)
         definite[b], products[b] = False, 0
-        if _factorise(M) and _factorise(M_own):
+        if factorise(M) and factorise(M_own):
             definite[b], products[b] = _conjugate(
                 shared, own[b], pairs, curves, i, j, robot, free_own,
                 M, M_own, r, r_own, forcing, most, x, x_own,
             )  # fmt: skip
-        _copy(x, step[b])
-        _copy(x_own, step_own[b])
+        copy(x, step[b])
+        copy(x_own, step_own[b])
