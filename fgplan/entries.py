@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -94,10 +94,6 @@ class Entries:
         every = list(pieces)
         own, ahead = ([each for each in every if each[1].ahead == so] for so in (False, True))
         return cls(Places.of(chains, steps, size, own), Places.of(chains, steps - 1, size, ahead))
-
-    def each(self) -> Iterator[tuple[Array, Array]]:
-        """The values of one chain after the other, shapes (S, m) and (S − 1, m')."""
-        return zip(self.own.values, self.ahead.values, strict=True)
 
     def blocks(self, which: Index) -> tuple[Array, Array]:
         """Blocks (k, k) and (k, k + 1) of some chains, laid out."""

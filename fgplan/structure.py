@@ -1,4 +1,4 @@
-"""The structure of a file, by pydantic: what cannot be read is reported and replaced.
+"""The structure of a scenario file, by pydantic: what cannot be read is reported and replaced.
 
 So that a mistake in one place does not hide those in another, stand-ins are numbers that are not
 finite, which nothing mistakes for a value.

@@ -21,7 +21,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from benchmarks.solver.measure import NAMED, Effort, Size, rows_of, sizes
+from benchmarks.solver.measure import Effort, Size, asked, rows_of, sizes
 from benchmarks.solver.report import draw, findings, table
 
 SHORT = Effort(scenes=3, least=1, seconds=2.0, most=5.0)
@@ -72,25 +72,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--json", metavar="FILE", help="write the rows to FILE; - is standard output")
-    add("--only", metavar="n,T,K", type=_sizes, help='one size; or "predicted", or "dense"')
+    add("--only", metavar="n,T,K", type=asked, help='one size; or "predicted", or "dense"')
     add("--short", action="store_true", help="a minute: few sizes, few scenes")
     add("--scenes", type=int, metavar="N", help="scenes of a size")
     add("--cpu", action="store_true", help="CPU time, for a machine that does other things")
     add("--picture", type=Path, default=Path("out/solver.png"), help="default: %(default)s")
     return parser
-
-
-def _sizes(text: str) -> tuple[Size, ...]:
-    """What is meant: a name, or one size."""
-    if text in NAMED:
-        return NAMED[text]
-    try:
-        n, T, K = (int(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"n,T,K is three whole numbers, got {text!r}") from None
-    if n < 0 or T < 1 or not 1 <= K <= 5:
-        raise argparse.ArgumentTypeError(f"n >= 0, T >= 1 and K from 1 to 5, got {text!r}")
-    return (Size(n, T, K),)
 
 
 if __name__ == "__main__":

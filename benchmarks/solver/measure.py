@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import sys
+from argparse import ArgumentTypeError
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -306,3 +307,23 @@ def sizes(short: bool = False, only: Sequence[Size] | None = None) -> tuple[Size
         return (*NAMED["predicted"], Size(0, 20, 1), Size(5, 20, 3), Size(10, 20, 1))
     grid = [Size(n, T, K) for n in (0, 5, 10, 20, 50, 100) for T in (20, 30, 50) for K in (1, 3, 5)]
     return (*NAMED["predicted"], *NAMED["dense"][:2], *grid)
+
+
+def asked(text: str) -> tuple[Size, ...]:
+    """The sizes that a user means: n,T,K or a name of several.
+
+    Raises:
+        ArgumentTypeError: it is neither.
+    """
+    if text in NAMED:
+        return NAMED[text]
+    names = ", ".join(NAMED)
+    try:
+        n, T, K = (int(part) for part in text.split(","))
+    except ValueError:
+        raise ArgumentTypeError(
+            f"n,T,K is three whole numbers, or one of {names}, got {text!r}"
+        ) from None
+    if n < 0 or T < 1 or not 1 <= K <= 5:
+        raise ArgumentTypeError(f"n >= 0, T >= 1 and K from 1 to 5, got {text!r}")
+    return (Size(n, T, K),)

@@ -1,36 +1,38 @@
-"""`python -m benchmarks.solver.shares`: where the time of fgplan's solver goes, at one size."""
+"""`python -m benchmarks.solver.shares [n,T,K]`: where the time of fgplan's solver goes, at one
+size."""
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from collections.abc import Mapping
 from cProfile import Profile
 from pathlib import Path
 from pstats import Stats
-from time import process_time
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.solver.measure import Size, problems_of
+from benchmarks.solver.measure import Size, asked, problems_of
 from benchmarks.solver.peers import Native
 
 SIZE, SCENES = Size(10, 30, 3), 20
-PARTS: Mapping[str, tuple[str, str]] = {
-    "everything": ("peers", "solve"),
-    "assembling the density": ("problem", "assemble"),
-    "expansions": ("assembly", "expand"),
-    "energies along steps": ("solver", "_line_search"),
-    "Newton steps": ("assembly", "_solve"),
-    "of these, factorising and solving": ("tiles", "solve"),
+PARTS: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "everything": (("peers", "solve"),),
+    "assembling the density": (("problem", "assemble"),),
+    "expansions": (("assembly", "expand"), ("sparse", "__init__")),
+    "the search along steps, most expansions with it": (("solver", "_line_search"),),
+    "Newton steps": (("assembly", "_solve"), ("sparse", "_solved")),
+    "of these, solving systems": (("tiles", "solve"), ("conjugate", "newton")),
 }
-"""What is reported, by the file and the function that does it with all that it calls."""
+"""What is reported, by the files and functions that do it with all that they call: the first for
+few people, the second for many."""
 
 
 def shares(size: Size = SIZE, scenes: int = SCENES) -> dict[str, float]:
-    """Milliseconds of CPU time of a plan, cold and warm, by part, of those that were met;
-    a profiler makes Python's own part longer."""
-    peer, profile = Native(), Profile(process_time)
+    """Milliseconds of a plan, cold and warm, by part, of those that were met; a profiler makes
+    Python's own part longer, and one that counts CPU time twice as long."""
+    peer, profile = Native(), Profile()
     problems = [p for seed in range(scenes) for p in problems_of(size, seed).values()]
     for problem in problems:
         peer.solve(problem, None)
@@ -43,16 +45,20 @@ def shares(size: Size = SIZE, scenes: int = SCENES) -> dict[str, float]:
     for (path, _, function), (_, _, _, cumulative, _) in stats.stats.items():
         key = (Path(path).stem, function)
         spent[key] = spent.get(key, 0.0) + 1e3 * cumulative / len(problems)
-    return {part: spent[key] for part, key in PARTS.items() if key in spent}
+    times = {part: sum(spent.get(key, 0.0) for key in keys) for part, keys in PARTS.items()}
+    return {part: ms for part, ms in times.items() if ms > 0}
 
 
 def main() -> None:
     """Print them."""
-    found = shares()
-    table = Table("part", "ms", "%", box=None, pad_edge=False)
-    for part, ms in found.items():
-        table.add_row(part, f"{ms:.1f}", f"{100 * ms / found['everything']:.0f}")
-    Console(width=80, highlight=False).print(table)
+    parser = ArgumentParser(prog="python -m benchmarks.solver.shares", description=__doc__)
+    parser.add_argument("size", metavar="n,T,K", nargs="?", type=asked, default=(SIZE,))
+    for size in parser.parse_args().size:
+        found = shares(size)
+        table = Table(f"n={size.n} T={size.T} K={size.K}", "ms", "%", box=None, pad_edge=False)
+        for part, ms in found.items():
+            table.add_row(part, f"{ms:.1f}", f"{100 * ms / found['everything']:.0f}")
+        Console(width=80, highlight=False).print(table)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from factors.interaction import Interaction
 from factors.pairwise import ByPair, CrowdPairs, PairPotential, PredictedPairs, Together
 from factors.residual import Array, Expansion, Residual
 from fgplan.compiled.kernel import BOOL, INT, apart, exact, given, packed, result
-from fgplan.compiled.radial import NOTHING, contacts, energies, expansions, relative, total
+from fgplan.compiled.radial import NOTHING, energies, expansions, relative, total
 from fgplan.model import Term
 
 Index = NDArray[np.intp]
@@ -222,7 +222,6 @@ def _energy(
             _place(bodies, robot[n, k], crowd[n, k], held[min(k, len(held) - 1)])
             relative(bodies, i, j, delta, squared)
             energies(squared, table[min(k, len(table) - 1)], presence, each)
-            contacts(squared, table[min(k, len(table) - 1)], each)
             energy[n, k] = total(each)
 
 

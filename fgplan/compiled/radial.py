@@ -60,7 +60,7 @@ def _decay(z: float) -> float:
 
 
 @apart()
-def _presences(squared: Array, table: Array, presence: Array, energy: Array) -> None:
+def _faint(squared: Array, table: Array, presence: Array, energy: Array) -> None:
     """u = alpha·e^(−d²/(2 s²)), and −weight·log(1 − u) as long as u is faint."""
     for p in range(len(squared)):
         z = -table[1, p] * squared[p]
@@ -70,15 +70,9 @@ def _presences(squared: Array, table: Array, presence: Array, energy: Array) -> 
 
 
 @exact()
-def energies(squared: Array, table: Array, presence: Array, energy: Array) -> None:
-    """Energies of P pairs [nats], and their presence u.
-
-    Args:
-        squared: Squared distances, shape (P,) [m²].
-        table: Shape (5, P).
-        presence, energy: Are written, shape (P,).
-    """
-    _presences(squared, table, presence, energy)
+def _interactions(squared: Array, table: Array, presence: Array, energy: Array) -> None:
+    """Presence u, and the energy of the interaction."""
+    _faint(squared, table, presence, energy)
     for p in range(len(squared)):
         if presence[p] >= FAINT:  # 1 − u may be small: now every digit counts
             presence[p] = table[0, p] * exp(table[1, p] * squared[p])
@@ -86,8 +80,15 @@ def energies(squared: Array, table: Array, presence: Array, energy: Array) -> No
 
 
 @exact()
-def contacts(squared: Array, table: Array, energy: Array) -> None:
-    """Add the energies of contacts."""
+def energies(squared: Array, table: Array, presence: Array, energy: Array) -> None:
+    """Energies of P pairs [nats], interaction and contact, and their presence u.
+
+    Args:
+        squared: Squared distances, shape (P,) [m²].
+        table: Shape (5, P).
+        presence, energy: Are written, shape (P,).
+    """
+    _interactions(squared, table, presence, energy)
     for p in range(len(squared)):
         d2, reach = squared[p] + TINY**2, table[3, p]
         if reach > 0 and not d2 > reach * reach:
@@ -126,7 +127,7 @@ def expansions(
         flat: Whether the curvature is Gauss–Newton's.
         presence, energy, slope, a, b: Are written, shape (P,).
     """
-    energies(squared, table, presence, energy)
+    _interactions(squared, table, presence, energy)
     if flat:
         _flat_slopes(table, presence, energy, slope, a, b)
     else:

@@ -14,7 +14,7 @@ from benchmarks.scenes import APART, ROOM, World
 from benchmarks.solver import whitened
 from benchmarks.solver.__main__ import main
 from benchmarks.solver.ipopt import Program
-from benchmarks.solver.measure import DENSE, NAMED, TWELVE, Size, sizes, twelve
+from benchmarks.solver.measure import DENSE, NAMED, TWELVE, Size, asked, sizes, twelve
 from benchmarks.solver.peers import FLOORS, PEERS, floor
 from benchmarks.solver.problem import Problem, cold, warm
 from benchmarks.solver.report import exponent, findings
@@ -160,7 +160,8 @@ def test_all_sizes_of_the_issue_are_measured() -> None:
 def test_the_exponent_of_n_is_fitted_to_one_density() -> None:
     assert {size.density for size in NAMED["dense"]} == {DENSE}
     assert len({size.n for size in NAMED["dense"]}) == len(NAMED["dense"]) == 4
-    assert sizes(only=NAMED["dense"]) == NAMED["dense"]
+    assert sizes(only=asked("dense")) == NAMED["dense"]
+    assert sizes(only=asked("7,20,2")) == (Size(7, 20, 2),)
 
 
 def test_json_alone_on_standard_output(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ from fgplan.wheeled import CarLike, DifferentialDrive
 from tests.scenes import CORRIDOR, ONE, STACK, believed, dense, jittered, random_scene, short
 
 pytest.importorskip("numba")
+from numba import njit
+
 from fgplan.compiled import Compiled
 from fgplan.compiled.kernel import exact, result, room
 from fgplan.compiled.tiles import PANEL, add, laid, shape, solve
@@ -118,6 +120,14 @@ def test_pairs_with_people_held(n, alpha, weight, spread, batch, per_step, seed)
     robot = states(rng, batch, 4, max(spread, 0.1))
     assert_agree(numpy, (robot,))
     assert_agree([PredictedPairs(Together((contact, Together((interaction,)))), people)], (robot,))
+
+
+@pytest.mark.parametrize("shape", [(3,), (5, 7), (2, 3, 4)])
+def test_room_begins_where_a_register_does(shape):
+    for place in (room(shape), njit(lambda: room(shape))()):
+        assert place.shape == shape
+        assert place.flags.c_contiguous
+        assert place.ctypes.data % 64 == 0
 
 
 def limited(limit: float, weight: float, dim: int = 4) -> list[Term]:
