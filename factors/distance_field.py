@@ -29,13 +29,12 @@ class Outside(Enum):
 
 class _Cell(NamedTuple):
     """Where points lie: the coefficients (..., 4) of 1, s, t, st in their cell, the place (s, t)
-    in it, and how far they are outside the grid [m], all in the grid's own axes."""
+    in it (..., 2), and how far they are outside the grid (..., 2) [m], all in the grid's own
+    axes; None where all are inside."""
 
     coefficients: Array
-    s: Array
-    t: Array
-    out_u: Array
-    out_v: Array
+    place: Array
+    out: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +84,9 @@ class SignedDistanceField:
     def distance(self, points: Any) -> Array:
         """Signed distance at points (..., 2), shape (...) [m]; NaN where a point is NaN."""
         cell = self._locate(points)
-        k, s, t = cell.coefficients, cell.s, cell.t
+        k, s, t = cell.coefficients, cell.place[..., 0], cell.place[..., 1]
         d = k[..., 0] + k[..., 1] * s + t * (k[..., 2] + k[..., 3] * s)
-        return self._leave(cell, d)
+        return d if cell.out is None else self._leave(cell.out, d)
 
     def linearize(self, points: Any) -> tuple[Array, Array]:
         """Signed distance (...) [m] and its gradient (..., 2) in the map frame."""
@@ -104,8 +103,8 @@ class SignedDistanceField:
         uv = cell.coefficients[..., 3] / self.resolution**2
         uu = np.zeros_like(uv)
         vv = uu
-        if _any_outside(cell):
-            uu, uv, vv = self._leave_hessian(cell, uv)
+        if cell.out is not None:
+            uu, uv, vv = self._leave_hessian(cell.out, uv)
         c, s = self._axes
         xx = c * c * uu - 2 * c * s * uv + s * s * vv
         yy = s * s * uu + 2 * c * s * uv + c * c * vv
@@ -125,59 +124,65 @@ class SignedDistanceField:
         e = v[1:, 1:] - v[1:, :-1] - b
         return np.ascontiguousarray(np.stack([a, b, c, e], axis=-1).reshape(-1, 4))
 
-    def _locate(self, points: Any) -> _Cell:
-        x = np.asarray(points, dtype=float)
+    @cached_property
+    def _last(self) -> Array:
+        """Column and row of the last node."""
         rows, cols = self.values.shape
-        c, s = self._axes
-        dx = (x[..., 0] - self.origin[0]) / self.resolution
-        dy = (x[..., 1] - self.origin[1]) / self.resolution
-        u, v = c * dx + s * dy, c * dy - s * dx
+        return np.array([cols - 1.0, rows - 1.0])
+
+    def _locate(self, points: Any) -> _Cell:
+        at = (np.asarray(points, dtype=float) - self.origin) / self.resolution
+        if self.yaw:
+            c, s = self._axes
+            u, v = at[..., 0], at[..., 1]
+            at = np.stack([c * u + s * v, c * v - s * u], axis=-1)
         # fmin and fmax put NaN on the border, so that it comes out as NaN and not as a crash.
-        bu = np.fmax(np.fmin(u, cols - 1), 0.0)
-        bv = np.fmax(np.fmin(v, rows - 1), 0.0)
-        j = np.minimum(bu.astype(np.intp), cols - 2)
-        i = np.minimum(bv.astype(np.intp), rows - 2)
-        coefficients = self._table.take(i * (cols - 1) + j, axis=0)
-        out_u, out_v = (u - bu) * self.resolution, (v - bv) * self.resolution
-        return _Cell(coefficients, bu - j, bv - i, out_u, out_v)
+        inside = np.fmax(np.fmin(at, self._last), 0.0)
+        node = np.minimum(inside.astype(np.intp), self._last.astype(np.intp) - 1)
+        which = node[..., 1] * (self.values.shape[1] - 1) + node[..., 0]
+        out = at - inside
+        return _Cell(
+            self._table.take(which, axis=0),
+            inside - node,
+            out * self.resolution if np.any(out) else None,
+        )
 
     def _slope(self, cell: _Cell) -> tuple[Array, Array]:
-        k, s, t = cell.coefficients, cell.s, cell.t
+        k, s, t = cell.coefficients, cell.place[..., 0], cell.place[..., 1]
         row = k[..., 2] + k[..., 3] * s
         d = k[..., 0] + k[..., 1] * s + t * row
-        gu = (k[..., 1] + k[..., 3] * t) / self.resolution
-        gv = row / self.resolution
-        if _any_outside(cell):
-            d = self._leave(cell, d)
-            gu, gv = self._leave_gradient(cell, gu, gv)
-        c, n = self._axes
-        return d, np.stack([c * gu - n * gv, n * gu + c * gv], axis=-1)
+        gradient = np.empty(cell.place.shape)
+        gradient[..., 0] = k[..., 1] + k[..., 3] * t
+        gradient[..., 1] = row
+        gradient /= self.resolution
+        if cell.out is not None:
+            d = self._leave(cell.out, d)
+            gradient = self._leave_gradient(cell.out, gradient)
+        if self.yaw:
+            c, n = self._axes
+            gu, gv = gradient[..., 0], gradient[..., 1]
+            gradient = np.stack([c * gu - n * gv, n * gu + c * gv], axis=-1)
+        return d, gradient
 
-    def _leave(self, cell: _Cell, d: Array) -> Array:
+    def _leave(self, out: Array, d: Array) -> Array:
         """The distance, corrected for points outside the grid."""
-        away = np.hypot(cell.out_u, cell.out_v)
+        away = np.hypot(out[..., 0], out[..., 1])
         if self.outside is Outside.FREE:
             return np.where(away > 0, FAR, d + away)  # d + away keeps NaN
         return np.asarray(d - away)
 
-    def _leave_gradient(self, cell: _Cell, gu: Array, gv: Array) -> tuple[Array, Array]:
-        u, v = cell.out_u, cell.out_v
-        away = np.hypot(u, v)
+    def _leave_gradient(self, out: Array, gradient: Array) -> Array:
+        away = np.hypot(out[..., 0], out[..., 1])[..., None]
         if self.outside is Outside.FREE:
-            return np.where(away > 0, 0.0, gu), np.where(away > 0, 0.0, gv)
-        length = np.where(away > 0, away, 1.0)
-        return np.where(u == 0, gu, -u / length), np.where(v == 0, gv, -v / length)
+            return np.where(away > 0, 0.0, gradient)
+        return np.where(out == 0, gradient, -out / np.where(away > 0, away, 1.0))
 
-    def _leave_hessian(self, cell: _Cell, uv: Array) -> tuple[Array, Array, Array]:
+    def _leave_hessian(self, out: Array, uv: Array) -> tuple[Array, Array, Array]:
         """Beside an edge everything is linear; beyond a corner −|x − b| is a cone."""
-        u, v = cell.out_u, cell.out_v
+        u, v = out[..., 0], out[..., 1]
         corner = (u != 0) & (v != 0) & (self.outside is Outside.LOWER_BOUND)
         cubed = np.where(corner, np.hypot(u, v), 1.0) ** 3
         inside = np.where((u == 0) & (v == 0), uv, 0.0)
         uu = np.where(corner, -v * v / cubed, 0.0)
         vv = np.where(corner, -u * u / cubed, 0.0)
         return uu, np.where(corner, u * v / cubed, inside), vv
-
-
-def _any_outside(cell: _Cell) -> bool:
-    return bool(np.any(cell.out_u) or np.any(cell.out_v))

@@ -27,6 +27,9 @@ Nodes = NDArray[np.intp]
 SPACING = 0.25
 """Of the samples of a segment [cells]."""
 
+BESIDE = 0.5 - 1e-6
+"""A point this near to a node [cells] is in the square of its cell, and of no other."""
+
 COMFORT = 0.2
 """Clearance [m] beyond the radius that routes take where there is room for it."""
 
@@ -211,6 +214,11 @@ class Roadmap:
         """The nearest free node that a straight line reaches without touching an obstacle cell,
         at most `within` cells away; None where there is none."""
         rows, cols = self.free.shape
+        x, y = np.rint(point).astype(int).tolist()
+        aside = np.abs(point - (x, y))
+        here = aside.max() < BESIDE and np.hypot(*aside) <= within
+        if here and 0 <= x < cols and 0 <= y < rows and self.free[y, x]:
+            return int(y * cols + x)
         low = np.clip(np.floor(point - within).astype(int), 0, [cols, rows])
         high = np.clip(np.ceil(point + within).astype(int) + 1, 0, [cols, rows])
         row, col = np.nonzero(self.free[low[1] : high[1], low[0] : high[0]])

@@ -37,6 +37,9 @@ GOAL_TOLERANCE = 0.5
 DETOUR = 0.7
 """A pulled path is rarely shorter than this share of its skeleton path: where to stop looking."""
 
+LONGER = 1.1
+"""The way to the skeleton is looked for this many times as far as the straight line, at first."""
+
 MOST_CANDIDATES = 8
 """Skeleton paths looked at for each route asked for."""
 
@@ -230,7 +233,8 @@ def _candidates(road: Roadmap, first: int, last: int) -> Iterator[Nodes]:
 
 def _to_bones(road: Roadmap, node: int, bones: Nodes) -> tuple[int, Nodes]:
     """The skeleton node nearest to a node, and the way there."""
-    limit = 2 * road.required
+    away = np.linalg.norm(road.place(bones) - road.place(node), axis=1)
+    limit = max(2 * road.required, LONGER * float(away.min()))
     while True:
         length, before = road.reach(node, limit)
         nearest = int(bones[np.argmin(length[bones])])

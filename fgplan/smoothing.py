@@ -6,7 +6,6 @@ Lattice coordinates, as in `fgplan.roadmap`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +60,8 @@ def _farthest(road: Roadmap, path: Array, wound: NDArray[np.intp], here: int, se
     for _ in range(2):
         if beyond - best < 2:
             break
-        targets = np.unique(np.linspace(best + 1, beyond - 1, PROBES).astype(int))
+        targets = np.linspace(best + 1, beyond - 1, PROBES).astype(int)
+        targets = targets[np.append(True, targets[1:] > targets[:-1])]
         ends = path[targets]
         turns = road.crossings(path[here : here + 1], ends)
         same = np.all(turns == wound[targets] - wound[here], axis=1)
@@ -75,11 +75,11 @@ def _farthest(road: Roadmap, path: Array, wound: NDArray[np.intp], here: int, se
 
 def _subdivided(path: Array, spacing: float) -> Array:
     """The same polyline with more vertices, at most `spacing` apart."""
-    parts = []
-    for a, b in pairwise(path):
-        pieces = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
-        parts.append(a + np.arange(pieces)[:, None] / pieces * (b - a))
-    return np.vstack([*parts, path[-1:]])
+    step = np.diff(path, axis=0)
+    pieces = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / spacing), 1.0).astype(np.intp)
+    which = np.repeat(np.arange(len(step)), pieces)
+    share = (np.arange(len(which)) - (np.cumsum(pieces) - pieces)[which]) / pieces[which]
+    return np.vstack([path[which] + share[:, None] * step[which], path[-1:]])
 
 
 def smooth(road: Roadmap, paths: list[Array]) -> list[Array]:
@@ -115,24 +115,33 @@ def _shares(path: Array) -> Array:
 def _relaxed(road: Roadmap, bands: list[Array], anchors: list[Array], sweeps: int) -> list[Array]:
     ends = np.cumsum([len(band) for band in bands])
     x = np.vstack(bands)
-    inner = np.ones(len(x), dtype=bool)
-    inner[ends - 1] = False
-    inner[np.append(0, ends[:-1])] = False
-    at = np.flatnonzero(inner)
+    # Slices over all points are cheaper than a choice of those between the ends of a band.
+    fixed = np.sort(np.concatenate([ends - 1, ends[:-1]]))
+    held, inner = x[fixed], slice(1, -1)
     # A robot that stands too near an obstacle is asked for no more than its straight way out.
-    need = np.minimum(road.required, road.field.distance(np.vstack(anchors)[at]))
+    need = np.minimum(road.required, road.field.distance(np.vstack(anchors)[inner]))
     wish = road.required + COMFORT / road.cell
     aside = np.zeros_like(x)
     for _ in range(sweeps):
-        y = 0.5 * x[at] + 0.25 * (x[at - 1] + x[at + 1])
+        y = _averaged(x)
         F, slope = road.field.linearize(y)
         slope /= np.maximum(np.einsum("ij,ij->i", slope, slope), 0.25)[:, None]
         # In the middle of a lane the slope flips from point to point: the wish for more room is
         # averaged over neighbours, the need for enough is not.
-        aside[at] = np.maximum(wish - F, 0.0)[:, None] * slope
-        mean = 0.5 * aside[at] + 0.25 * (aside[at - 1] + aside[at + 1])
-        x[at] = y + np.maximum(need - F, 0.0)[:, None] * slope + COMFORT_GAIN * mean
+        aside[inner] = np.maximum(wish - F, 0.0)[:, None] * slope
+        aside[fixed] = 0.0
+        x[inner] = y + np.maximum(need - F, 0.0)[:, None] * slope
+        x[inner] += COMFORT_GAIN * _averaged(aside)
+        x[fixed] = held
     return np.split(x, ends[:-1])
+
+
+def _averaged(x: Array) -> Array:
+    """Of points (N, 2), each but the first and last with its two neighbours, shape (N − 2, 2)."""
+    mean = x[:-2] + x[2:]
+    mean *= 0.25
+    mean += 0.5 * x[1:-1]
+    return mean
 
 
 def _checked(road: Roadmap, bands: list[Array], anchors: list[Array]) -> list[Array]:

@@ -234,6 +234,24 @@ def test_steps_between_free_cells_keep_the_radius(seed, radius):
         assert gap(grid, (a + share * (b - a)).reshape(-1, 2)).min() >= radius - 1e-9
 
 
+@given(st.integers(0, 10_000), st.floats(0.4, 12.0))
+@settings(max_examples=60, deadline=None)
+def test_nearest_free_node_is_the_nearest_that_a_straight_line_reaches(seed, within):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((24, 24)) < 0.04
+    road = Roadmap(occupied, 1.0, np.zeros(2), np.eye(2), 1.2)
+    point = rng.uniform(-0.4, 23.4, 2)  # in a free cell, in the rim of an obstacle, or in one
+    nodes = np.flatnonzero(road.free)
+    away = np.linalg.norm(road.place(nodes) - point, axis=1)
+    reached = (away <= within) & ~road.crosses_obstacle(point, road.place(nodes))
+    found = road.nearest_free(point, within)
+    if not reached.any():
+        assert found is None
+    else:
+        assert found in nodes[reached]
+        np.testing.assert_allclose(away[nodes == found], away[reached].min(), atol=1e-5)
+
+
 @given(st.integers(0, 10_000))
 @settings(max_examples=40, deadline=None)
 def test_clearance_is_a_lower_bound_along_the_whole_segment(seed):
