@@ -30,6 +30,10 @@ class Belief:
         covariance: Shape (n, 4, 4).
         radii: Shape (n,) [m].
         Qc: Power spectral density of the people's acceleration [m²/s³].
+
+    Raises:
+        ValueError: a shape is wrong, a number is not finite, or a covariance is not positive
+            definite; the person is named.
     """
 
     names: tuple[str, ...]
@@ -37,6 +41,29 @@ class Belief:
     covariance: Array
     radii: Array
     Qc: float
+
+    def __post_init__(self) -> None:
+        n = self.count
+        for name, shape in (("mean", (n, 4)), ("covariance", (n, 4, 4)), ("radii", (n,))):
+            value = np.asarray(getattr(self, name))
+            if value.shape != shape:
+                raise ValueError(f"{name} of {n} people has shape {value.shape}; give {shape}")
+            finite = np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
+            wrong = np.flatnonzero(~finite)
+            if len(wrong):
+                i = int(wrong[0])
+                raise ValueError(
+                    f"{name} of {self.names[i]!r} is {value[i].tolist()}; give finite numbers"
+                )
+        try:
+            np.linalg.cholesky(self.covariance)
+        except np.linalg.LinAlgError:
+            lowest = np.linalg.eigvalsh(self.covariance)[:, 0]
+            i = int(np.argmin(lowest))
+            raise ValueError(
+                f"covariance of {self.names[i]!r} is not positive definite, its least eigenvalue "
+                f"is {lowest[i]:.3g}; nobody is known exactly: give a small variance instead of 0"
+            ) from None
 
     @property
     def count(self) -> int:

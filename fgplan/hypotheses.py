@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief
+from fgplan.errors import NoMissionRoute
 from fgplan.hypothesis import Hypothesis
 from fgplan.mission import Itinerary, Mission, itineraries
 from fgplan.regions import word_along
@@ -74,6 +75,11 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
     paths = _paths(scenario)
     if not paths:
         return (_no_goal(scenario, belief),)
+    if all(path.weight == 0 for path in paths):
+        raise NoMissionRoute(
+            f"every stated plan that does what the mission requires has weight 0: "
+            f"{[path.label for path in paths]}; give one of them a weight, or ask for a count"
+        )
     robot, d = scenario.robot, scenario.density
     costs = np.array([path_length(path.vertices) for path in paths]) / robot.preferred_speed
     log_prior = log_weights(costs, d.beta, [path.weight for path in paths])

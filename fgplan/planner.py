@@ -89,10 +89,13 @@ def plan(
         ScenarioError: the scenario makes no sense; all mistakes are named.
         NoRoute: a goal is stated and nothing leads there.
         NoPlan: no hypothesis has a finite posterior.
-        ValueError: no inference has that name.
+        ValueError: no inference has that name; it gives no evidence, by which to select was asked;
+            the belief or a factor of yours makes no sense.
     """
     began = perf_counter()
     inference = named(inference)
+    if isinstance(inference, MAP) and select is selection.mass:
+        raise ValueError("inference 'map' gives no evidence to select by; take another, or height")
     if solver is None:
         solver = SecondOrder(margin=0.0) if isinstance(inference, MAP) else SecondOrder()
     validate(scenario)
@@ -100,18 +103,20 @@ def plan(
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
     stated = tuple(hypotheses(scenario, belief))
+    if not stated:
+        raise NoPlan(f"hypotheses, {hypotheses!r}, gave none for {scenario.name!r}")
     scenario = of_people(obeying(scenario), belief)
     proposed = reweigh(scenario, crossed(scenario, stated))
     ready = perf_counter()
 
+    end = np.inf if deadline is None else began + deadline
     assembly = Assembly(build(scenario, belief, proposed, factors))
     every = len(proposed)
     if every > len(stated):  # a product of levels
-        kept = worth_solving(assembly, proposed, solver, NEGLIGIBLE)
+        kept = worth_solving(assembly, proposed, solver, NEGLIGIBLE, end)
         proposed = tuple(proposed[i] for i in kept)
         assembly = Assembly([assembly.models[i] for i in kept])
     before = shifted(warm, scenario, belief) if warm is not None else ()
-    end = np.inf if deadline is None else began + deadline
     modelled = perf_counter()
     solving = [
         Solving(scenario, belief, assembly, i, checker=check, until=end)
@@ -143,13 +148,14 @@ def plan(
         "evidence": weighed - solved,
         "total": weighed - began,
     }
-    mixture = _decide(scenario, belief, components, select, timing)
+    scores, doubts = _scored(components, select, inference)
+    mixture = _decide(scenario, belief, components, scores, timing)
     notes = [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
     notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
     if every > len(proposed):
         bound = f"their bounds are over {NEGLIGIBLE:g} nats below the best"
         notes.append(f"{every - len(proposed)} of {every} combinations left out: {bound}")
-    return replace(mixture, warnings=(*sorted(notes), *mixture.warnings))
+    return replace(mixture, warnings=(*sorted(notes), *doubts, *mixture.warnings))
 
 
 def _components(
@@ -181,6 +187,22 @@ def _components(
     return merge(components)
 
 
+def _scored(
+    components: Sequence[Component], select: selection.Rule, inference: Inference
+) -> tuple[Array, tuple[str, ...]]:
+    """Log scores of all, and what is to be said of them: by height where somebody has none because
+    no time was left for their evidence."""
+    scores = select(components)
+    late = [
+        c.label
+        for c, score in zip(components, scores, strict=True)
+        if not np.isfinite(score) and c.inferred is not None and c.inferred.method != inference.name
+    ]
+    if not late:
+        return scores, ()
+    return selection.height(components), (f"chosen by height: no time for the evidence of {late}",)
+
+
 def _held(
     scenario: Scenario, belief: Belief, assembly: Assembly, hypotheses: Sequence[Hypothesis]
 ) -> Assembly | None:
@@ -198,10 +220,9 @@ def _decide(
     scenario: Scenario,
     belief: Belief,
     components: list[Component],
-    select: selection.Rule,
+    scores: Array,
     timing: dict[str, float],
 ) -> Mixture:
-    scores = select(components)
     order = np.argsort(-scores, kind="stable")
     components = [components[i] for i in order]
     probability_height = selection.softmax(selection.height(components))
@@ -220,7 +241,9 @@ def _decide(
             scenario.density.times, belief.expected(scenario.density.times), belief.radii
         )
         trajectory, result = brake(scenario, predicted)
-        why = "; ".join(f"{c.label}: {', '.join(c.check.problems)}" for c in components)
+        why = "; ".join(
+            f"{c.label}: {', '.join(c.check.problems) or 'no finite score'}" for c in components
+        )
         if not result.feasible:
             why += f"; and no stop is clear: {', '.join(result.problems)}"
         reason = f"no hypothesis is safe ({why})"

@@ -94,11 +94,24 @@ def search(
     found: list[Found] = []
     dropped: set[int] = set()
 
+    def ended(i: int) -> list[Solution]:
+        """Where starts of a hypothesis ended, the lowest first."""
+        own = (f.solution for f in found if f.which == i)
+        over = [s for s in own if s.stop not in (Stop.GIVEN_UP, Stop.MERGED)]
+        return sorted(over, key=lambda solution: solution.energy)
+
     def served(i: int) -> bool:
-        """Whether a start of a hypothesis ended where it may be followed, or it is too late."""
-        ended = (f for f in found if f.solution.stop not in (Stop.GIVEN_UP, Stop.MERGED))
-        own = (f.solution for f in ended if f.which == i)
-        return any(usable(i, solution) or perf_counter() >= until for solution in own)
+        """Whether one of them may be followed, or it is too late to find out."""
+        return any(usable(i, solution) or perf_counter() >= until for solution in ended(i))
+
+    def best_served(i: int) -> bool:
+        """Whether the lowest one may be followed."""
+        return any(usable(i, solution) for solution in ended(i)[:1])
+
+    def wanting(served: Callable[[int], bool]) -> list[_Begin]:
+        """Starts that were given up or only sketched, of hypotheses in which nothing is of use."""
+        more = [] if held is None else _untried(assembly, hypotheses, found, served, dropped)
+        return _needed(found, served) + more
 
     late: set[int] = set()
     for turn, queue in enumerate(_turns(assembly, hypotheses, warm, until, held)):
@@ -108,15 +121,18 @@ def search(
             break
         if starts:
             found = _joined(found, _solve(assembly, solver, starts + _best(found, dropped), until))
-        if turn == 0 and limited and len(hypotheses) > 1:
-            best = max(hypotheses[f.which].log_prior - _score(assembly, f) for f in found)
+        if turn == 0 and limited and len(hypotheses) > 1 and perf_counter() < until:
+            scores = (
+                hypotheses[f.which].log_prior - _score(assembly, f)
+                for f in found
+                if usable(f.which, f.solution)
+            )
+            best = max(scores, default=-np.inf)
             dropped = {i for i in indices if hypotheses[i].log_prior - _bound(assembly, i) < best}
-    while perf_counter() < until:
-        again = _needed(found, served)
-        again += [] if held is None else _untried(assembly, hypotheses, found, served, dropped)
-        if not again:
-            break
+    while perf_counter() < until and (again := wanting(served)):
         found = _joined(found, _solve(assembly, solver, again, until))
+    if perf_counter() >= until:
+        late |= {start.which for start in wanting(best_served)}
     return Search(tuple(found), frozenset(dropped), _unended(found) | late)
 
 
@@ -152,7 +168,11 @@ def _turns(
 
 
 def worth_solving(
-    assembly: Assembly, hypotheses: Sequence[Hypothesis], solver: Solver, margin: float
+    assembly: Assembly,
+    hypotheses: Sequence[Hypothesis],
+    solver: Solver,
+    margin: float,
+    until: float = np.inf,
 ) -> list[int]:
     """Branch and bound over many hypotheses: those that a bound does not exclude, in their order.
 
@@ -165,16 +185,17 @@ def worth_solving(
         hypotheses: With their starts.
         solver: How a start is solved.
         margin: [nats].
+        until: When to end, on the clock of `time.perf_counter` [s]: what is known by then excludes.
     """
     reach = [h.log_prior - _bound(assembly, i) for i, h in enumerate(hypotheses)]
     order = sorted(range(len(hypotheses)), key=lambda i: -reach[i])
     best = -np.inf
     for at in range(0, len(order), AT_ONCE):
         some = [i for i in order[at : at + AT_ONCE] if reach[i] >= best]
-        if not some:
+        if not some or perf_counter() >= until:
             break
         starts = [_own(assembly, i, hypotheses[i])[0] for i in some]
-        for f in _solve(assembly, solver, starts):
+        for f in _solve(assembly, solver, starts, until):
             score = hypotheses[f.which].log_prior - _score(assembly, f)
             best = max(best, score if np.isfinite(score) else -np.inf)
     return [i for i in range(len(hypotheses)) if reach[i] >= best - margin]

@@ -146,7 +146,7 @@ class Sparse(Quadratic):
         """As in `Quadratic`, but where the energy is seen to curve downwards a step is what was
         found before, and still of use."""
         steps, definite, products = self._solved(self.gradient, self.which, FORCING, MOST)
-        return steps, definite, products > 0
+        return steps, definite, definite | (products > 0)  # at an optimum none is needed
 
     def confirmed(self, rows: Index) -> Mask:
         """No drawn direction leads to one that curves downwards. A saddle on which robot and

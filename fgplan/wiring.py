@@ -254,6 +254,12 @@ def wire_user(factor: gtsam.NonlinearFactor, model: Model, order: Index) -> Wire
             f"a factor of yours is on {unknown}, which this density does not have; its variables "
             f"are {[v.name for v in model.variables]}, steps 0..{len(model.times) - 1}"
         )
+    if isinstance(factor, gtsam.NoiseModelFactor) and factor.noiseModel().isConstrained():
+        on = [keys.name(key) for key in factor.keys()]
+        raise ValueError(
+            f"a factor of yours on {on} is a hard constraint, which is no density: give it a small "
+            "sigma instead of 0"
+        )
     places = [place[key] for key in factor.keys()]
     steps = [k for k, _ in places]
     start = min(steps)

@@ -23,8 +23,9 @@ FAINT = 1e-3
 """Below this −log(1 − u) is five terms of its series to rounding."""
 LEAST = 1e-16
 """1 − u is not taken to be less in a slope: at contact with alpha = 1 the limit is infinite."""
-NOTHING = (0.0, 0.0, 0.0, -1.0, 0.0)
-"""A row without interaction (alpha = 0) and without contact (a reach that no distance is below)."""
+NOTHING = (0.0, -1.0, 0.0, -1.0, 0.0)
+"""A row without interaction (alpha = 0, and an exponent with which infinity is far) and without
+contact (a reach that no distance is below)."""
 
 
 @apart()
@@ -64,7 +65,7 @@ def _faint(squared: Array, table: Array, presence: Array, energy: Array) -> None
     """u = alpha·e^(−d²/(2 s²)), and −weight·log(1 − u) as long as u is faint."""
     for p in range(len(squared)):
         z = -table[1, p] * squared[p]
-        u = table[0, p] * _decay(z) if z < NOWHERE else 0.0
+        u = table[0, p] * _decay(z) if not z >= NOWHERE else 0.0  # NaN stays NaN
         series = u * (1 + u * (1 / 2 + u * (1 / 3 + u * (1 / 4 + u / 5))))
         presence[p], energy[p] = u, table[2, p] * series
 

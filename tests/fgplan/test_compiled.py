@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from factors.contact import Contact
 from factors.interaction import Interaction
 from factors.kinematics import AccelerationLimit, SpeedLimit
-from factors.pairwise import CrowdPairs, PairPotential, PredictedPairs, Together
+from factors.pairwise import CrowdPairs, PredictedPairs, Together
 from factors.residual import Expansion, Residual
 from fgplan import Scenario, backend, plan
 from fgplan.assembly import Assembly
@@ -168,12 +168,16 @@ def test_limits_on_a_norm(limit, weight, spread, batch, seed):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("spread", [0.3, 30.0])
-def test_what_is_not_finite_spreads_alike(value, spread):
+@pytest.mark.parametrize(
+    "potentials",
+    [[Interaction(0.9, 0.4), Contact(1.0, 0.1)], [Interaction(0.9, 0.4)], [Contact(1.0, 0.1)]],
+    ids=["both", "interaction", "contact"],
+)
+def test_what_is_not_finite_spreads_alike(value, spread, potentials):
     rng = np.random.default_rng(0)
     robot, crowd = states(rng, (2,), 4, spread), states(rng, (2,), 8, spread)
     robot[0, 1, 0] = crowd[1, 2, 3] = robot[1, 0, 2] = value
     people = rng.normal(size=(STEPS, 2, 2))
-    potentials: list[PairPotential] = [Interaction(0.9, 0.4), Contact(1.0, 0.1)]
     for numpy, x in (
         ([CrowdPairs(p, 2, "robot") for p in potentials], (robot, crowd)),
         ([PredictedPairs(p, people) for p in potentials], (robot,)),

@@ -31,7 +31,7 @@ from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
 from fgplan.safety import Check, People, check
 from fgplan.trajectory import Trajectory
-from tests.scenes import CORRIDOR, blocks, fork, forked, random_scene, track
+from tests.scenes import CORRIDOR, blocks, fork, forked, random_scene, short, track
 
 STRAIGHT = GivenPlan("straight", np.array([[0.0, 0.0], [8.0, 0.0]]))
 
@@ -235,6 +235,55 @@ def test_a_users_factor_that_excludes_everything_is_no_plan():
     with pytest.raises(NoPlan, match=r"left.*right") as caught:
         plan(forked(), factors=[factor])
     assert len(caught.value.evidence) >= 2
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [gtsam.noiseModel.Constrained.All(4), gtsam.noiseModel.Diagonal.Sigmas([1.0, 1.0, 0.0, 0.1])],
+    ids=["all", "one"],
+)
+@pytest.mark.parametrize("solver", [None, GtsamLM()], ids=["second order", "gtsam"])
+def test_a_hard_constraint_is_refused_by_name(noise, solver):
+    factor = gtsam.PriorFactorVector(keys.robot(3), np.array([1.2, 0.5, 0.6, 0.2]), noise)
+    with pytest.raises(ValueError, match=r"robot.*hard constraint.*small sigma"):
+        plan(forked(), factors=[factor], **({} if solver is None else {"solver": solver}))
+
+
+def test_a_rule_that_needs_evidence_is_refused_where_there_is_none():
+    with pytest.raises(ValueError, match="no evidence to select by"):
+        plan(forked(), inference="map", select=selection.mass)
+
+
+def test_where_time_leaves_no_evidence_the_choice_is_by_height_and_says_so():
+    mixture = plan(forked(density=short()), deadline=0.0, select=selection.mass)
+    assert all(c.log_evidence is None for c in mixture.components)
+    assert any("chosen by height" in warning for warning in mixture.warnings)
+    assert mixture.best is mixture.components[int(np.argmax(mixture.probability_height))]
+
+
+@pytest.mark.parametrize("crowd", ["joint", "predicted"])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"covariance": np.zeros((2, 4, 4))}, "covariance of 'a' is not positive definite"),
+        ({"mean": np.array([[4.0, 1.0, 0, 0], [np.nan, 0, 0, 0]])}, "mean of 'b' is .*nan"),
+        ({"radii": np.array([0.3])}, r"radii of 2 people has shape \(1,\); give \(2,\)"),
+    ],
+    ids=["known exactly", "not a number", "shape"],
+)
+def test_a_belief_that_makes_no_sense_is_refused_by_name(crowd, changes, message):
+    mean = np.array([[4.0, 1.0, 0.0, 0.0], [5.0, -1.0, 0.0, 0.0]])
+    numbers = {
+        "mean": mean, "covariance": np.tile(0.01 * np.eye(4), (2, 1, 1)),
+        "radii": np.full(2, 0.3), **changes,
+    }  # fmt: skip
+    with pytest.raises(ValueError, match=message):
+        plan(forked(crowd=crowd), belief=Belief(names=("a", "b"), Qc=0.1, **numbers))
+
+
+def test_no_hypotheses_at_all_is_no_plan():
+    with pytest.raises(NoPlan, match="gave none"):
+        plan(forked(), hypotheses=lambda scenario, belief: ())
 
 
 @pytest.mark.parametrize("seed", range(4))

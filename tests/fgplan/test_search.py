@@ -21,8 +21,10 @@ from fgplan.assembly import Assembly
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.model import build
-from fgplan.search import search, shifted
+from fgplan.safety import Check, People, check
+from fgplan.search import search, shifted, worth_solving
 from fgplan.solver import SecondOrder, Solution, Stop
+from fgplan.trajectory import Trajectory
 from tests.scenes import believed
 
 STEP = 0.2
@@ -121,6 +123,70 @@ def test_a_hypothesis_whose_bound_cannot_win_is_dropped_and_reported():
     assert mixture.best.label == "left"
     free = plan(fork(weights=(1.0, 1e-12)))
     assert mixture.best.energy == pytest.approx(free.components[0].energy, abs=1e-6)
+
+
+def test_what_the_check_refuses_drops_nobody():
+    """The bound of the right one is far below the left's best optimum, which may not be driven."""
+
+    def right_only(scenario: Scenario, robot: Trajectory, people: People) -> Check:
+        found = check(scenario, robot, people)
+        wrong = robot.positions[-1, 1] > 0
+        return replace(found, problems=("on the left",)) if wrong else found
+
+    scenario = fork("ab", weights=(1.0, 1e-12))
+    for deadline in (None, 30.0):
+        mixture = plan(scenario, check=right_only, deadline=deadline)
+        assert mixture.best is not None
+        assert mixture.best.label == "right"
+        assert not any("dropped" in warning for warning in mixture.warnings)
+
+
+@pytest.mark.parametrize("usable", [False, True])
+def test_who_may_not_be_followed_and_has_starts_left_when_the_time_is_up_is_unfinished(
+    usable, monkeypatch
+):
+    """All turns are over, and those that were given up wait to be followed."""
+    turns, now = [], [0.0]
+    monkeypatch.setattr("fgplan.search.perf_counter", lambda: now[0])
+
+    class LastTurn:
+        def solve(self, assembly, initial, which, until=np.inf):
+            turns.append(len(initial))
+            if len(turns) == 3:
+                now[0] = 2 * until
+            stops = [Stop.CONVERGED] + [Stop.GIVEN_UP] * (len(initial) - 1)
+            return tuple(Solution(x, 1.0, 1, s, 0.0) for x, s in zip(initial, stops, strict=True))
+
+    scenario = fork("abc").replace(plans=fork().plans[:1])
+    belief = believed(scenario)
+    hypotheses = hypothesise(scenario, belief)
+    assembly = Assembly(build(scenario, belief, hypotheses))
+    ended = search(
+        assembly, hypotheses, LastTurn(), until=50.0, usable=lambda which, solution: usable
+    )  # fmt: skip
+    assert len(turns) == 3
+    assert len(ended.found) == len(hypotheses[0].starts)
+    assert ended.unfinished == (frozenset() if usable else frozenset({0}))
+
+
+def test_pruning_keeps_to_the_time(monkeypatch):
+    """With no time left nobody is solved, so that nobody is left out."""
+    monkeypatch.setattr("fgplan.search.perf_counter", lambda: 10.0)
+    asked = []
+
+    class Spy:
+        def solve(self, assembly, initial, which, until=np.inf):
+            asked.append(until)
+            return SecondOrder().solve(assembly, initial, which)
+
+    scenario = fork("ab", weights=(1.0, 1e-30))
+    belief = believed(scenario)
+    hypotheses = hypothesise(scenario, belief)
+    assembly = Assembly(build(scenario, belief, hypotheses))
+    assert worth_solving(assembly, hypotheses, Spy(), 10.0, until=9.0) == [0, 1]
+    assert asked == []
+    assert worth_solving(assembly, hypotheses, Spy(), 10.0, until=11.0) == [0]
+    assert asked == [11.0]
 
 
 @pytest.mark.parametrize("names", ["", "ab", "abc"])

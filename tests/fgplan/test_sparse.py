@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -130,6 +132,19 @@ def test_optima_are_optima_of_the_whole(scene):
     assert definite.all()
     assert np.all(-0.5 * np.einsum("bsd,bsd->b", q.gradient, step) < 1e-6)
     np.testing.assert_allclose(q.energy, [found[b].energy for b in ended], rtol=1e-12)
+
+
+def test_a_stationary_start_is_an_optimum_already():
+    """A robot at rest without a goal, and people who stand far apart: there is nothing to do."""
+    people = tuple(track(f"p{i}", 8.0 * (i + 1), 0.0) for i in range(14))
+    scenario = forked(*people, plans=(), density=short(reach=1000.0))
+    scenario = scenario.replace(robot=replace(scenario.robot, velocity=np.zeros(2)))
+    assembly, hypotheses = assembled(scenario)
+    assert Layout.of(assembly) is not None
+    X, which = initial(assembly, hypotheses)
+    rest = SecondOrder(meeting=0.0, patience=np.inf).solve(assembly, X[:1], which[:1])[0]
+    assert rest.stop is Stop.CONVERGED
+    assert np.abs(rest.state - X[0]).max() < 1e-6
 
 
 @pytest.mark.parametrize("scene", ["many", "robot pairs"])
