@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from factors.gp_prior import kron
-from factors.residual import Array, Linear, log_gaussian_normalizer, whitener
+from factors.residual import Array, Linear, log_gaussian_normalizer, positive, whitener
 
 
 def velocity_of_positions(dt: float, Qc: Array, last: bool = False) -> Linear:
@@ -25,8 +25,7 @@ def velocity_of_positions(dt: float, Qc: Array, last: bool = False) -> Linear:
     Raises:
         ValueError: dt is not positive, or Qc is not symmetric positive definite.
     """
-    if not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt must be positive, got {dt}")
+    positive(dt=dt)
     W = whitener(np.atleast_2d(np.asarray(Qc, dtype=float)) * dt / 3, "Qc")
     here, there = [1 / dt, 1.0], [-1 / dt, 0.0]
     if last:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from factors.measurement import position_measurement
-from factors.residual import Array, Linear
+from factors.residual import Array, Linear, positive
 
 
 def formation(
@@ -27,9 +27,7 @@ def formation(
     Raises:
         ValueError: sigma or weight is not positive, or a direction is 0.
     """
-    for name, value in (("sigma", sigma), ("weight", weight)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value}")
+    positive(sigma=sigma, weight=weight)
     size = np.linalg.norm(direction, axis=-1, keepdims=True)
     if not np.all(size > 0):
         raise ValueError(f"direction must not be 0, got {direction}")

@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from factors.residual import Array, Linear, log_gaussian_normalizer, whitener
+from factors.residual import Array, Linear, log_gaussian_normalizer, positive, whitener
 
 
 class GPPrior(Linear):
@@ -33,8 +33,7 @@ class GPPrior(Linear):
     Qc: Array
 
     def __init__(self, dt: float, Qc: Array) -> None:
-        if not (np.isfinite(dt) and dt > 0):
-            raise ValueError(f"dt must be positive, got {dt}")
+        positive(dt=dt)
         W = kron(whitener(white_noise(dt)), whitener(Qc, "Qc"))
         m = len(np.atleast_2d(Qc))
         super().__init__((-W @ transition(dt, m), W), np.zeros(2 * m), log_gaussian_normalizer(W))
@@ -92,9 +91,7 @@ def matern_prior(mean: Array, dt: float, sigma: float, length: float) -> Linear:
     Reference:
         Hartikainen and Särkkä, MLSP 2010, on Matérn covariances as state-space models.
     """
-    for name, value in (("dt", dt), ("sigma", sigma), ("length", length)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value}")
+    positive(dt=dt, sigma=sigma, length=length)
     m = mean.shape[-1] // 2
     A_t, Q_t = matern_step(dt, sigma, length)
     W = kron(whitener(Q_t), np.eye(m))

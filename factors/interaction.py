@@ -10,7 +10,7 @@ import numpy as np
 
 from factors.pairwise import PairPotential
 from factors.radial import Radial
-from factors.residual import Array
+from factors.residual import Array, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +43,7 @@ class Interaction(PairPotential):
     def __post_init__(self) -> None:
         if not 0 <= self.alpha <= 1:
             raise ValueError(f"alpha must lie in [0, 1], got {self.alpha}")
-        for name in ("h_c", "weight"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value}")
+        positive(h_c=self.h_c, weight=self.weight)
         if not np.all(np.asarray(self.variance) >= 0):
             raise ValueError("variance must not be negative")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.residual import Array
+from factors.residual import Array, positive
 
 
 def matern(times: Array, sigma: float, length: float, nu: float = 1.5) -> Array:
@@ -31,7 +31,7 @@ def matern(times: Array, sigma: float, length: float, nu: float = 1.5) -> Array:
     Reference:
         Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, eq. 4.17.
     """
-    _check_positive(sigma=sigma, length=length)
+    positive(sigma=sigma, length=length)
     polynomials = {0.5: (1.0,), 1.5: (1.0, 1.0), 2.5: (1.0, 1.0, 1 / 3)}
     if nu not in polynomials:
         raise ValueError(f"nu must be one of {list(polynomials)}, got {nu}")
@@ -62,12 +62,6 @@ def linear_kernel(times: Array, sigma: float, slope: float, center: float = 0.0)
         Rasmussen and Williams, 2006, section 4.2.2; Trautman and Krause, IROS 2010, use it with
         a Matérn kernel for pedestrians.
     """
-    _check_positive(sigma=sigma, slope=slope)
+    positive(sigma=sigma, slope=slope)
     t = np.asarray(times, dtype=float) - center
     return np.asarray(sigma**2 + slope**2 * np.outer(t, t))
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from factors.hinge import Hinge, hinge_scale, linearize_norm, norm
 from factors.radial import components, square
-from factors.residual import Array, Expansion, Residual
+from factors.residual import Array, Expansion, Residual, positive
 
 AT_REST = 5e-4
 """Smooths |v| and |ω|·radius around 0 in a curvature limit [m/s]."""
@@ -104,8 +104,7 @@ class AccelerationLimit(Residual):
     def __post_init__(self) -> None:
         _check(self.limit, self.dim)
         hinge_scale(self.sigma, self.weight)
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise ValueError(f"dt must be positive, got {self.dt}")
+        positive(dt=self.dt)
 
     @property
     def dims(self) -> tuple[int, ...]:
@@ -227,8 +226,7 @@ class CurvatureLimit(Residual):
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.radius) and self.radius > 0):
-            raise ValueError(f"radius must be positive, got {self.radius}")
+        positive(radius=self.radius)
         hinge_scale(self.sigma, self.weight)
 
     @property

@@ -194,6 +194,13 @@ def whitener(covariance: Any, name: str = "covariance") -> Array:
     return whiteners(S, name)
 
 
+def positive(**values: float) -> None:
+    """Raises ValueError, with its name, for a number that is not finite and above 0."""
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be positive, got {value}")
+
+
 def whiteners(S: Array, name: str = "covariance") -> Array:
     """The same of many matrices, shape (..., d, d).
 

@@ -17,7 +17,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.residual import Array, Expansion, Linear, Residual
+from factors.residual import Array, Expansion, Linear, Residual, positive
 
 DIM = 5
 """Size of a state (x, y, θ, v, ω)."""
@@ -42,7 +42,7 @@ def unicycle_prior(dt: float, Qc: float, Qc_yaw: float, sigma_heading: float) ->
     Raises:
         ValueError: a parameter is not positive.
     """
-    _check_positive(dt=dt, Qc=Qc, Qc_yaw=Qc_yaw, sigma_heading=sigma_heading)
+    positive(dt=dt, Qc=Qc, Qc_yaw=Qc_yaw, sigma_heading=sigma_heading)
     scale = 1 / np.array([sigma_heading, np.sqrt(Qc * dt), np.sqrt(Qc_yaw * dt)])
     before, after = np.zeros((3, DIM)), np.zeros((3, DIM))
     before[:, 2:], after[:, 2:] = -np.eye(3), np.eye(3)
@@ -70,7 +70,7 @@ class UnicycleMotion(Residual):
     sigma: float
 
     def __post_init__(self) -> None:
-        _check_positive(dt=self.dt, sigma=self.sigma)
+        positive(dt=self.dt, sigma=self.sigma)
 
     @property
     def dims(self) -> tuple[int, ...]:
@@ -306,9 +306,3 @@ def _planar_slope(x: Array) -> Array:
     G[..., 2, 2], G[..., 2, 3] = -v * sin, cos
     G[..., 3, 2], G[..., 3, 3] = v * cos, sin
     return G
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value}")

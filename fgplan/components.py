@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
@@ -113,7 +114,9 @@ def component_of(
     """The best feasible optimum of one hypothesis (the best one, if none is feasible)."""
     ended = [f for f in own if f.solution.stop not in (Stop.MERGED, Stop.GIVEN_UP)] or own
     # Rounded, so that of two starts with one optimum the first is named.
-    optima = _distinct(sorted(ended, key=lambda f: round(f.solution.energy, 6)))
+    lowest_first = sorted(ended, key=lambda f: round(f.solution.energy, 6))
+    found = {f.solution: f for f in lowest_first}
+    optima = [found[solution] for solution in distinct(found)]
     best, result, lowest = _followed(solving, optima)
     solution = best.solution
     scenario, model = solving.scenario, solving.model
@@ -157,11 +160,11 @@ def component_of(
     return Solved(component, solution.state)
 
 
-def _distinct(optima: list[Found]) -> list[Found]:
-    """Optima without repetition, in the order given."""
-    kept: list[Found] = []
+def distinct(optima: Iterable[Solution]) -> list[Solution]:
+    """Optima without repetition, in the order given: the first of those within `SAME`."""
+    kept: list[Solution] = []
     for new in optima:
-        if all(np.abs(new.solution.state - old.solution.state).max() > SAME for old in kept):
+        if all(np.abs(new.state - old.state).max() > SAME for old in kept):
             kept.append(new)
     return kept
 

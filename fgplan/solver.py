@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.assembly import Assembly, Quadratic
-from fgplan.block_tridiagonal import Factor, factorize
 from fgplan.sparse import Layout, Sparse
 
 Array = NDArray[np.float64]
@@ -165,7 +164,8 @@ class SecondOrder:
                 still, at = rows[~moved], going[~moved]
                 for b, i in zip(still.tolist(), at.tolist(), strict=True):
                     if way.promised[i] < 1e-6:  # nothing is lower, as far as rounding tells
-                        stop[b] = Stop.CONVERGED if way.minimum[i] else Stop.SADDLE
+                        minimum = way.minimum[i] and q.confirmed(np.array([i]))[0]
+                        stop[b] = Stop.CONVERGED if minimum else Stop.SADDLE
                     elif not way.newton[i]:
                         stop[b] = Stop.NO_DESCENT
                 # Where Newton's step leads nowhere Gauss-Newton's may.
@@ -266,13 +266,6 @@ class GtsamLM:
 def _unsolved(assembly: Assembly, state: Array, which: int) -> Solution:
     energy = float(assembly.energy(state, np.asarray(which)))
     return Solution(state, energy, 0, Stop.DEADLINE, np.inf)
-
-
-def factor_hessian(assembly: Assembly, state: Array, which: int) -> Factor | None:
-    """Cholesky factor of the true Hessian at one state; None where it is not positive definite."""
-    q = assembly.expand(state[None], np.array([which]))
-    _, system = next(q.systems(np.zeros(1, dtype=np.intp)))
-    return factorize(*system)
 
 
 Expand = Callable[[Array, Index], Quadratic]

@@ -142,6 +142,9 @@ class Sparse(Quadratic):
         assert isinstance(other, Sparse)
         self._blocks[rows] = other._blocks
 
+    def hessian(self, rows: Index) -> tuple[Array, Array]:
+        raise TypeError("pairs are not laid out: expand the assembly itself for blocks")
+
     def newton(self) -> tuple[Array, Mask, Mask]:
         """As in `Quadratic`, but where the energy is seen to curve downwards a step is what was
         found before, and still of use."""

@@ -14,7 +14,10 @@ from fgplan.assembly import Assembly
 from fgplan.crowd import Belief, believe, seen
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
+from fgplan.inference.modes import modes
+from fgplan.inference.posterior import Posterior
 from fgplan.model import build
+from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
 
@@ -111,3 +114,9 @@ def dense(diagonal: Array, upper: Array) -> Array:
             H[k, :, k + 1] = upper[k]
             H[k + 1, :, k] = upper[k].T
     return H.reshape(S * D, S * D)
+
+
+def mode_evidence(assembly: Assembly, solution: Solution, which: int) -> float | None:
+    """log Z of one local optimum by Laplace's method; None where it is no minimum."""
+    found = modes(Posterior(assembly, which, [solution]), "curvature")
+    return found[0].log_mass if found else None

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from benchmarks.memory import resident
 from fgplan import GivenPlan, Robot, Scenario, Track, plan
 
 WARM_UP = 200
 """Plans before memory is first read: caches and the allocator's pools are full by then."""
-STEP = 0.1
-"""Time between two plans [s]."""
 
 Row = dict[str, float]
 Bar = Callable[[Iterable[int]], Iterable[int]]
@@ -37,15 +35,6 @@ def scene(seed: int, n: int = 5) -> Scenario:
     )
     return Scenario(Robot(np.zeros(2), np.array([0.8, 0.0])), plans=paths, count=0,
                     tracks=tuple(tracks))  # fmt: skip
-
-
-def resident() -> float:
-    """Memory of this process [MB]; 0 where the system does not tell."""
-    status = Path("/proc/self/status")
-    if not status.is_file():
-        return 0.0
-    line = next(x for x in status.read_text().splitlines() if x.startswith("VmRSS"))
-    return float(line.split()[1]) / 1024
 
 
 def memory(plans: int, bar: Bar = iter) -> list[Row]:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
+import argparse
+import json
+import sys
+from collections.abc import Sequence
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+from rich.console import Console
+from rich.progress import track
 
-import argparse  # noqa: E402
-import json  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
-
-from rich.console import Console  # noqa: E402
-from rich.progress import track  # noqa: E402
-
-from benchmarks.endurance import deadlines, growth, memory  # noqa: E402
+from benchmarks.endurance import deadlines, growth, memory
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -23,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.endurance", description=__doc__)
     parser.add_argument("--plans", type=int, default=10_000, help="plans of the memory run")
     parser.add_argument("--late", type=int, default=300, help="plans for each deadline")
-    parser.add_argument("--json", metavar="-", help="- writes JSON to standard output")
+    parser.add_argument("--json", choices=["-"], help="- writes JSON to standard output")
     options = parser.parse_args(arguments)
     error = Console(stderr=True)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
@@ -15,6 +15,7 @@ from factors.interaction import Interaction
 from factors.pairwise import PredictedPairs
 from fgplan import Scenario, SecondOrder, keys, recordings
 from fgplan.assembly import Assembly
+from fgplan.components import distinct
 from fgplan.crowd import believe, seen
 from fgplan.hypotheses import hypothesise
 from fgplan.inference import HMC
@@ -25,8 +26,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 ROOT = Path(__file__).parents[2]
-SAME = 0.02
-"""Two optima closer than this in every coordinate [m, m/s] are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +138,7 @@ def _solved(name: str, assembly: Assembly, which: int, starts: Array, plane: sli
     found = SecondOrder().solve(assembly, starts, np.full(len(starts), which))
     took = process_time() - began
     ended = sorted((s for s in found if s.converged), key=lambda s: s.energy)
-    return Case(name, assembly, which, tuple(_distinct(ended)), took, plane)
-
-
-def _distinct(ended: Sequence[Solution]) -> list[Solution]:
-    kept: list[Solution] = []
-    for new in ended:
-        if all(np.abs(new.state - old.state).max() > SAME for old in kept):
-            kept.append(new)
-    return kept
+    return Case(name, assembly, which, tuple(distinct(ended)), took, plane)
 
 
 def _cut(scenario: Scenario, horizon: float) -> Scenario:

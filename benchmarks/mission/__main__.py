@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
-
-import argparse  # noqa: E402
-import json  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
-from pathlib import Path  # noqa: E402
-
-from benchmarks.mission import runs, summary  # noqa: E402
+from benchmarks.mission import runs, summary
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -24,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--offset", type=int, default=0, help="the first seed")
     parser.add_argument("--short", action="store_true", help="one seed")
     parser.add_argument("--store", type=Path, help="file of finished runs, not made again")
-    parser.add_argument("--json", metavar="-", help="- writes JSON to standard output")
+    parser.add_argument("--json", choices=["-"], help="- writes JSON to standard output")
     options = parser.parse_args(arguments)
     count = 1 if options.short else options.seeds
     seeds = range(options.offset, options.offset + count)

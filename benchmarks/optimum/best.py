@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import smooth
 from benchmarks.solver import whitened
 from fgplan.assembly import Assembly
+from fgplan.components import distinct
 from fgplan.mixture import Mixture
 from fgplan.planner import plan
 from fgplan.scenario import Scenario
@@ -22,8 +23,6 @@ Index = NDArray[np.intp]
 
 STARTS = 64
 """Random starts of each hypothesis."""
-SAME = 0.02
-"""Two optima closer than this in every coordinate [m, m/s] are one."""
 CROWD = 0.3
 """How far a start moves people, at first [m]."""
 BATCH = 32
@@ -104,7 +103,7 @@ class MultiStart:
         # What is found by several counts for all of them: who is needed at all?
         lowest = found[0][1].energy
         self.found_by.update({name for name, end in found if end.energy < lowest + 1e-3})
-        return _distinct([end for _, end in found])
+        return distinct([end for _, end in found])
 
 
 def _perturbed(assembly: Assembly, state: Array, rng: np.random.Generator) -> Array:
@@ -132,11 +131,3 @@ def _lbfgs(assembly: Assembly, starts: Array, i: int) -> list[Solution]:
     """From all starts, and then to the last digit."""
     ends = np.stack([whitened.minimise(assembly, start, i, most=200)[0] for start in starts])
     return _second_order(assembly, ends, i)
-
-
-def _distinct(optima: list[Solution]) -> list[Solution]:
-    kept: list[Solution] = []
-    for new in optima:
-        if all(np.abs(new.state - old.state).max() > SAME for old in kept):
-            kept.append(new)
-    return kept

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -79,9 +80,12 @@ def search(name: str, now: Scenario, starts: int) -> tuple[str, Known]:
 
 def fingerprint(now: Scenario, starts: int) -> str:
     """Changes with the density and the effort: what is known of another one is of no use."""
-    problem = cold(now)
+    problem, robot = cold(now), now.robot
     energy = float(np.sum(problem.energies(problem.initial)))
-    return f"{problem.assembly.reference.shape} {energy:.5g} {starts}"
+    limits = robot.model, robot.radius, robot.max_speed, robot.max_acceleration
+    settings = repr((now.density, now.levels, now.crowd, now.pairs, *limits))
+    digest = sha256(settings.encode()).hexdigest()[:8]
+    return f"{problem.assembly.reference.shape} {energy:.5g} {digest} {starts}"
 
 
 def best_of_all(

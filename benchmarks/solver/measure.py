@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import resource
-import sys
 from argparse import ArgumentTypeError
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.memory import resident
 from benchmarks.scenes import DENSE, World, smooth
 from benchmarks.solver.peers import FLOORS, PEERS, Native, Peer, floor
 from benchmarks.solver.problem import Problem, cold, warm
@@ -275,21 +272,11 @@ def _row(size: Size, solver: str, start: str, record: Record, own: list[Sample])
         "max_ms": float(ms.max()),
         "iterations_p50": float(np.median([s.iterations for s in record.samples])),
         "energy_mean": float(np.mean([s.energy for s in record.samples])),
-        "rss_mb": memory(),
+        "rss_mb": resident(),
         "build_ms": float(1e3 * np.median(record.build)) if record.build else 0.0,
         "scenes": len(ms),
         "times_fgplan": float(np.median(ratios)) if ratios else None,
     }
-
-
-def memory() -> float:
-    """Memory of this process that is in use [MB]; its peak where the system does not tell."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except (OSError, ValueError):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 NAMED = {

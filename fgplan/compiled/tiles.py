@@ -34,7 +34,6 @@ Factors = tuple[float, ...]
 
 PANEL = REGISTER
 """Columns of a tile: what is unrolled here is written for as many."""
-HALF = 4
 
 
 def shape(rows: int, width: int) -> tuple[int, int, int]:

@@ -129,22 +129,3 @@ class Laplace:
 
 QUICK = Laplace(check=0, limits="curvature")
 """What `fgplan.plan` uses unless told otherwise: milliseconds, and no word about its error."""
-
-
-def mode_evidence(assembly: Assembly, solution: Solution, which: int) -> float | None:
-    r"""log Z by Laplace's method with the true Hessian H of −log p.
-
-    log Z = log p(x*) + (d/2) log 2π − ½ log det H, with every Gaussian density normalised: 0 when
-    there are no potentials.
-
-    Args:
-        assembly: The density.
-        solution: A local optimum.
-        which: Its hypothesis.
-
-    Returns:
-        The log evidence of this one mode; None where the Hessian is not positive definite, which
-        is to say where the point is not a minimum.
-    """
-    found = modes(Posterior(assembly, which, [solution]), "curvature")
-    return found[0].log_mass if found else None

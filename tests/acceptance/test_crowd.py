@@ -13,10 +13,10 @@ from fgplan import Density, GtsamLM, Robot, Scenario, Track, keys, plan
 from fgplan.assembly import Assembly
 from fgplan.crowd import believe
 from fgplan.hypotheses import hypothesise
-from fgplan.inference.laplace import mode_evidence
 from fgplan.model import Variable, build
 from fgplan.solver import SecondOrder
 from tests.scalar import ROBOT, model, optimum
+from tests.scenes import mode_evidence
 
 PAPER = {"contact_sigma": np.inf, "t_ref": None}
 

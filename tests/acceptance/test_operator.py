@@ -27,11 +27,11 @@ from fgplan.crowd import Belief, believe
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.inference.gaussian import at_mode
-from fgplan.inference.laplace import mode_evidence
 from fgplan.peers.blending import Arbitration, Modes, blend, blend_gain
 from fgplan.shared_control import Candidate, Joystick, toward
 from fgplan.solver import SecondOrder
 from tests.scalar import ROBOT, model, optimum, plan_variable, together
+from tests.scenes import mode_evidence
 
 SOLVERS = [SecondOrder(), GtsamLM()]
 

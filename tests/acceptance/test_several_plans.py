@@ -7,9 +7,9 @@ import pytest
 
 from factors.coupling import coupling, coupling_to
 from factors.gp_prior import gaussian
-from fgplan.inference.laplace import mode_evidence
 from fgplan.solver import SecondOrder
 from tests.scalar import ROBOT, model, plan_variable, together
+from tests.scenes import mode_evidence
 
 
 def scores(assembly) -> tuple[np.ndarray, np.ndarray]:

@@ -36,9 +36,8 @@ def tiny(seed: int = 0) -> Scenario:
 
 def test_best_known_is_at_least_as_good_as_the_plan() -> None:
     now = tiny()
-    known, found_by = best_known(now, seed=0, starts=4)
+    known, _ = best_known(now, seed=0, starts=4)
     assert known.safe >= score(plan(now)).safe - 1e-6
-    assert "second order" in found_by or "L-BFGS" in found_by
 
 
 def test_many_starts_give_every_start_an_answer() -> None:
@@ -47,7 +46,10 @@ def test_many_starts_give_every_start_an_answer() -> None:
     now = tiny(1)
     mixture = plan(now, solver=solver)
     assert mixture.components[0].energy <= plan(now).components[0].energy + 1e-6
-    assert sum(solver.found_by.values()) >= 1
+    # Where there is one optimum, both optimisers find it.
+    alone = MultiStart(seed=0, starts=3)
+    plan(World.random(0, 0).scenario(T=5, K=1), solver=alone)
+    assert {"second order from given", "L-BFGS from given"} <= set(alone.found_by)
 
 
 def test_gap_counts_safe_plans_first() -> None:
@@ -97,8 +99,11 @@ def test_best_known_is_kept_and_used_again(tmp_path: Path) -> None:
 
 def test_fingerprint_changes_with_the_density() -> None:
     now = tiny()
-    other = now.replace(density=replace(now.density, h_c=0.3))
-    assert fingerprint(now, 2) != fingerprint(other, 2)
+    for change in ({"h_c": 0.3}, {"limit_sigma": 5.0}, {"contact_margin": 0.4}):
+        other = now.replace(density=replace(now.density, **change))
+        assert fingerprint(now, 2) != fingerprint(other, 2)
+    slower = now.replace(robot=replace(now.robot, max_acceleration=0.5))
+    assert fingerprint(now, 2) != fingerprint(slower, 2)
     assert fingerprint(now, 2) == fingerprint(tiny(), 2)
 
 

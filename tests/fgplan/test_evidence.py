@@ -13,10 +13,9 @@ from factors.interaction import Interaction
 from factors.pairwise import CrowdPairs, PredictedPairs
 from fgplan import Density, GivenPlan, Level, SecondOrder
 from fgplan.assembly import Assembly
-from fgplan.inference.laplace import mode_evidence
 from fgplan.model import Variable
 from tests.scalar import ROBOT, model, optimum, plan_variable
-from tests.scenes import ONE, assembled, dense, forked, initial, short, track
+from tests.scenes import ONE, assembled, dense, forked, initial, mode_evidence, short, track
 
 Array = np.ndarray
 

@@ -149,7 +149,7 @@ def test_a_stationary_start_is_an_optimum_already():
 
 @pytest.mark.parametrize("scene", ["many", "robot pairs"])
 def test_it_ends_as_low_as_the_factorised(scene):
-    """Every optimum of one is one of the other, or the other has a lower one."""
+    """In every hypothesis the lowest optimum of one is the lowest of the other."""
     scenario = SCENES[scene]
     belief = believed(scenario)
     hypotheses = hypothesise(scenario, belief)
