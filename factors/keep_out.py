@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from factors.hinge import hinge_scale
-from factors.one_sided import OneSided, Scalar
+from factors.one_sided import OnPosition, Scalar
 from factors.residual import Array
 from factors.shape import Shape
 
 
 @dataclass(frozen=True, eq=False)
-class KeepOut(OneSided):
+class KeepOut(OnPosition):
     r"""e = √weight · max(0, margin − d(p))/sigma, d the signed distance to a region.
 
     Args:
@@ -33,21 +29,6 @@ class KeepOut(OneSided):
     sigma: float = 0.1
     weight: float = 1.0
     dim: int = 4
-
-    def __post_init__(self) -> None:
-        hinge_scale(self.sigma, self.weight)
-
-    @property
-    def dims(self) -> tuple[int, ...]:
-        return (self.dim,)
-
-    @property
-    def support(self) -> NDArray[np.intp]:
-        return np.arange(2)
-
-    @property
-    def scale(self) -> float:
-        return hinge_scale(self.sigma, self.weight)
 
     def excess(self, *x: Array) -> Scalar:
         d, gradient, hessian = self.shape.expand(x[0][..., :2])

@@ -6,7 +6,9 @@ from abc import abstractmethod
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from factors.hinge import hinge_scale
 from factors.residual import Array, Expansion, Residual
 
 
@@ -73,6 +75,48 @@ class OneSided(Residual):
             + np.swapaxes(cross, -1, -2)
             + g.value[..., None, None] * ddh,
         )
+
+
+class OnPosition(OneSided):
+    """One-sided in a position, the first two components of a state.
+
+    Attributes:
+        sigma: [m]; inf switches the penalty off.
+        weight: Exponent of the potential.
+        dim: Size of the state.
+    """
+
+    sigma: float
+    weight: float
+    dim: int
+
+    def __post_init__(self) -> None:
+        hinge_scale(self.sigma, self.weight)  # raises where they make no sense
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        return (self.dim,)
+
+    @property
+    def support(self) -> NDArray[np.intp]:
+        return np.arange(2)
+
+    @property
+    def scale(self) -> float:
+        return hinge_scale(self.sigma, self.weight)
+
+
+def directed(place: Array, direction: Array) -> tuple[Array, Array]:
+    """A place and a direction of length 1, both (2,), or both (S, 2) where one of them is.
+
+    Raises:
+        ValueError: a direction is 0.
+    """
+    both = np.broadcast_arrays(np.asarray(place, dtype=float), np.asarray(direction, dtype=float))
+    size = np.linalg.norm(both[1], axis=-1, keepdims=True)
+    if not np.all(size > 0):
+        raise ValueError(f"direction must not be 0, got {direction}")
+    return both[0], both[1] / size
 
 
 def affine(value: Array, gradient: Array) -> Scalar:

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from factors.hinge import hinge_scale
-from factors.one_sided import OneSided, Scalar, affine
+from factors.one_sided import OnPosition, Scalar, affine, directed
 from factors.residual import Array, Residual
 
 
 @dataclass(frozen=True, eq=False)
-class PassingSide(OneSided):
+class PassingSide(OnPosition):
     r"""e = √weight · g(a) · max(0, gap − s)/sigma, with s = nᵀ(p − centre), a = uᵀ(p − centre).
 
     u is the direction of travel past the centre and n points to the side where to be; the gate
@@ -47,30 +45,14 @@ class PassingSide(OneSided):
     dim: int = 4
 
     def __post_init__(self) -> None:
-        hinge_scale(self.sigma, self.weight)
+        super().__post_init__()
         if self.side not in ("left", "right"):
             raise ValueError(f"side must be 'left' or 'right', got {self.side!r}")
         if not self.length > 0:
             raise ValueError(f"length must be positive, got {self.length}")
-        centre = np.asarray(self.centre, dtype=float)
-        direction = np.broadcast_to(np.asarray(self.direction, dtype=float), centre.shape)
-        size = np.linalg.norm(direction, axis=-1, keepdims=True)
-        if not np.all(size > 0):
-            raise ValueError(f"direction must not be 0, got {self.direction}")
+        centre, direction = directed(self.centre, self.direction)
         object.__setattr__(self, "centre", centre)
-        object.__setattr__(self, "direction", direction / size)
-
-    @property
-    def dims(self) -> tuple[int, ...]:
-        return (self.dim,)
-
-    @property
-    def support(self) -> NDArray[np.intp]:
-        return np.arange(2)
-
-    @property
-    def scale(self) -> float:
-        return hinge_scale(self.sigma, self.weight)
+        object.__setattr__(self, "direction", direction)
 
     def at(self, step: int) -> Residual:
         return self if self.centre.ndim == 1 else super().at(step)

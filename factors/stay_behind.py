@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from factors.hinge import hinge_scale
-from factors.one_sided import OneSided, Scalar, affine
+from factors.one_sided import OnPosition, Scalar, affine, directed
 from factors.residual import Array, Residual
 
 
 @dataclass(frozen=True, eq=False)
-class StayBehind(OneSided):
+class StayBehind(OnPosition):
     r"""e = √weight · max(0, uᵀ(p − person) + gap)/sigma: no further along their way than they are.
 
     Args:
@@ -39,26 +37,10 @@ class StayBehind(OneSided):
     dim: int = 4
 
     def __post_init__(self) -> None:
-        hinge_scale(self.sigma, self.weight)
-        person = np.asarray(self.person, dtype=float)
-        direction = np.broadcast_to(np.asarray(self.direction, dtype=float), person.shape)
-        size = np.linalg.norm(direction, axis=-1, keepdims=True)
-        if not np.all(size > 0):
-            raise ValueError(f"direction must not be 0, got {self.direction}")
+        super().__post_init__()
+        person, direction = directed(self.person, self.direction)
         object.__setattr__(self, "person", person)
-        object.__setattr__(self, "direction", direction / size)
-
-    @property
-    def dims(self) -> tuple[int, ...]:
-        return (self.dim,)
-
-    @property
-    def support(self) -> NDArray[np.intp]:
-        return np.arange(2)
-
-    @property
-    def scale(self) -> float:
-        return hinge_scale(self.sigma, self.weight)
+        object.__setattr__(self, "direction", direction)
 
     def at(self, step: int) -> Residual:
         return self if self.person.ndim == 1 else super().at(step)

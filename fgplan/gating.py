@@ -1,9 +1,10 @@
 """Who is planned with the robot, and which pairs can matter at all.
 
 People who stay out of reach of every start are held at their prediction: the robot still keeps
-clear of them, but they are not asked to react. Pairs of people whose predictions stay far apart
-are left out. Both only ever remove terms −log ψ ≥ 0, so for the energy E of the whole density and
-E_g of the gated one, with optima x* and x_g:  E_g(x_g) ≤ E(x*) ≤ E(x_g) = E_g(x_g) + left out(x_g).
+clear of them, but they are not asked to react, and what that costs has no bound. Pairs of people
+whose predictions stay far apart are left out. That only removes terms −log ψ ≥ 0, so for the energy
+E of the density of those who are planned and E_g of the gated one, with optima x* and x_g:
+E_g(x_g) ≤ E(x*) ≤ E(x_g) = E_g(x_g) + left out(x_g).
 """
 
 from __future__ import annotations

@@ -43,8 +43,9 @@ class Component:
         robot: f^R.
         crowd: f: people's planned (or predicted) trajectories, by name.
         levels: η_l, by name; the fixed plan where the level has no width.
-        left_out: Energy of the pairs that gating left out, at this optimum: the energy of the
-            whole density is higher by at most this [nats].
+        left_out: Energy of the pairs that gating left out, at this optimum: with all pairs of those
+            who are planned the energy is higher by at most this [nats]. Of people who are out of
+            reach, and so held at their prediction, it says nothing.
         displacement: How far each person is moved from their own prediction, as the Mahalanobis
             distance at the worst time step; 0 where people are held.
         sides: On which side each person near the robot is passed: "left" or "right".

@@ -87,6 +87,7 @@ def find_routes(
         ValueError: a number is not finite, the radius is negative, or count is below 1.
     """
     a, b = _point(start, "start"), _point(goal, "goal")
+    _size(radius)
     if count < 1:
         raise ValueError(f"count must be at least 1, got {count}")
     if grid is None or np.linalg.norm(b - a) < 1e-9:
@@ -124,6 +125,7 @@ def shortest_path(grid: OccupancyGrid, start: Any, goal: Any, radius: float) -> 
         NoRoute, ValueError: as `find_routes`.
     """
     a, b = _point(start, "start"), _point(goal, "goal")
+    _size(radius)
     road, first, last = _ends(grid, a, b, radius)
     length, before = reach(road, last)
     return road.to_map(road.place(trace(before, first))), float(length[first]) * road.cell
@@ -136,10 +138,13 @@ def _point(value: Any, name: str) -> Array:
     return point
 
 
-def _ends(grid: OccupancyGrid, a: Array, b: Array, radius: float) -> tuple[Roadmap, int, int]:
-    """The roadmap and the free nodes that stand for start and goal, with a way between them."""
+def _size(radius: float) -> None:
     if not (math.isfinite(radius) and radius >= 0):
         raise ValueError(f"radius must be finite and not negative, got {radius}")
+
+
+def _ends(grid: OccupancyGrid, a: Array, b: Array, radius: float) -> tuple[Roadmap, int, int]:
+    """The roadmap and the free nodes that stand for start and goal, with a way between them."""
     for name, point in (("start", a), ("goal", b)):
         place = f"{name} ({point[0]:g}, {point[1]:g})"
         if not grid.contains(point):

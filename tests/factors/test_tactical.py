@@ -114,6 +114,9 @@ def test_stay_behind_derivatives():
     check_derivatives(StayBehind(np.array([2.0, 1.0]), np.array([1.0, 0.5]), 0.5), NEAR)
     steps = np.array([[2.0, 1.0], [2.2, 1.1]])
     check_derivatives(StayBehind(steps, steps, 1.0), np.stack([NEAR, NEAR + 0.1]))
+    turning = StayBehind(np.array([2.0, 1.0]), steps, 1.0)  # somebody who stands and turns
+    check_derivatives(turning, np.stack([NEAR, NEAR + 0.1]))
+    assert turning.at(1).person.shape == turning.at(1).direction.shape == (2,)
 
 
 def test_formation_and_flat_derivatives():

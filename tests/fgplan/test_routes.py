@@ -482,5 +482,6 @@ def test_separate_rooms_have_no_route():
     ],
 )
 def test_number_that_makes_no_sense_raises(start, goal, radius, count, name):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
-        find_routes(room(), start, goal, radius, count)
+    for grid in (room(), None):
+        with pytest.raises(ValueError, match=f"^{name} must be"):
+            find_routes(grid, start, goal, radius, count)
