@@ -190,28 +190,37 @@ class Tracker:
     def _associate(
         self, people: People, detections: Sequence[Detection]
     ) -> tuple[list[int], dict[int, tuple[str, int]]]:
-        """Whose each detection is: a row, or NOBODY, or REFUSED; and what was refused of whom."""
+        """Whose each detection is: a row, or NOBODY, or REFUSED; and what was refused of whom.
+
+        Of several by one name the nearest is who is known by it. One beside it is the same person
+        again, any other is somebody else: a class is often given for an identity.
+        """
         row_of = {name: i for i, name in enumerate(people.names)}
         owner = [NOBODY] * len(detections)
         refused: dict[int, tuple[str, int]] = {}
         apart = self._distances(people, detections)
         allowed = np.sqrt(self.settings.gate * (people.spread[:, 0] + self.sigma_track**2))
-        anonymous = []
+        rows = [row_of.get(d.identity) if d.identity is not None else None for d in detections]
+        nearest: dict[int, int] = {}
+        for i, row in enumerate(rows):
+            if row is not None and (row not in nearest or apart[i, row] < apart[nearest[row], row]):
+                nearest[row] = i
+        anonymous = [i for i, d in enumerate(detections) if d.identity is None]
         taken: set[int] = set()
-        for i, detection in enumerate(detections):
-            row = row_of.get(detection.identity) if detection.identity is not None else None
-            if detection.identity is None:
+        for i, row in enumerate(rows):
+            if row is None:
+                continue
+            if i != nearest[row] and apart[i, row] > allowed[row]:
                 anonymous.append(i)
-            elif row is not None and row not in taken:
-                if apart[i, row] <= allowed[row] + self.settings.jump:
-                    owner[i] = row
-                    taken.add(row)
-                else:
-                    owner[i] = REFUSED
-                    refused[i] = (f"{detection.identity} jumped by {apart[i, row]:.1f} m", row)
-            elif row is not None:
+            elif i != nearest[row]:
                 owner[i] = REFUSED
-                refused[i] = (f"{detection.identity} was detected twice", row)
+                refused[i] = (f"{detections[i].identity} was detected twice", row)
+            elif apart[i, row] <= allowed[row] + self.settings.jump:
+                owner[i] = row
+                taken.add(row)
+            else:
+                owner[i] = REFUSED
+                refused[i] = (f"{detections[i].identity} jumped by {apart[i, row]:.1f} m", row)
         free = [row for row in range(len(people.names)) if row not in taken]
         if anonymous and free:
             from scipy.optimize import linear_sum_assignment

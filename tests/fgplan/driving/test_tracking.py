@@ -148,6 +148,25 @@ def test_a_detection_that_jumps_is_refused_once_and_believed_when_it_stays():
     np.testing.assert_allclose(people.mean[0, :2], [4.0, 0.0])
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_several_by_one_name_are_all_people(turned):
+    """Whose detector gives a class for an identity, in any order, sees everybody none the less."""
+    places = {
+        0.0: ([6.0, 3.0], [4.0, 0.0], [4.0, -3.0]),
+        0.1: ([6.0, 3.05], [4.0, 0.05], [4.0, -2.95]),
+    }
+    people = People(time=0.0)
+    for time, where in places.items():
+        order = where[::-1] if turned and time > 0 else where
+        seen = [Detection(np.array(place), "person") for place in order]
+        people, notes = TRACKER.update(people, time, seen, everywhere)
+        assert notes == ()
+        assert len(people.names) == 3
+    found = people.mean[:, :2]
+    for place in places[0.1]:
+        assert np.linalg.norm(found - place, axis=1).min() < 0.05
+
+
 def test_one_identity_twice_is_one_person():
     people = followed([0.0, 0.1], np.zeros((2, 2)), "anna")
     twice = [Detection(np.zeros(2), "anna"), Detection(np.array([0.1, 0.0]), "anna")]
