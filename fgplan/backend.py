@@ -114,7 +114,7 @@ class Numpy:
 
 @lru_cache(maxsize=1)
 def fastest() -> Backend:
-    """Compiled kernels where there is a numba that works (`pip install 'fgplan[fast]'`), else
+    """Compiled kernels where there is a numba that works (`pip install -e '.[fast]'`), else
     numpy."""
     try:
         from fgplan.compiled import Compiled  # importing numba takes as long as half of fgplan

@@ -30,7 +30,7 @@ from fgplan.search import Search, search, shifted, worth_solving
 from fgplan.shared_control import operated
 from fgplan.solver import SecondOrder, Solver
 from fgplan.tactical import of_people
-from fgplan.trajectory import Trajectory
+from fgplan.trajectory import Trajectory, length
 from fgplan.validation import validate
 
 Array = NDArray[np.float64]
@@ -89,10 +89,13 @@ def plan(
         ScenarioError: the scenario makes no sense; all mistakes are named.
         NoRoute: a goal is stated and nothing leads there.
         NoPlan: no hypothesis has a finite posterior.
-        ValueError: no inference has that name; it gives no evidence, by which to select was asked;
-            the belief or a factor of yours makes no sense.
+        ValueError: the deadline is negative or no number; no inference has that name, or it gives
+            no evidence, by which to select was asked; the belief or a factor of yours makes no
+            sense.
     """
     began = perf_counter()
+    if deadline is not None and not deadline >= 0:
+        raise ValueError(f"deadline must be a number of seconds, 0 or above, got {deadline}")
     inference = named(inference)
     if isinstance(inference, MAP) and select is selection.mass:
         raise ValueError("inference 'map' gives no evidence to select by; take another, or height")
@@ -150,7 +153,8 @@ def plan(
     }
     scores, doubts = _scored(components, select, inference)
     mixture = _decide(scenario, belief, components, scores, timing)
-    notes = [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
+    notes = [*_touched(scenario, belief)]
+    notes += [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
     notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
     if every > len(proposed):
         bound = f"their bounds are over {NEGLIGIBLE:g} nats below the best"
@@ -185,6 +189,14 @@ def _components(
             reading = replace(solving[i], finished=i not in incomplete, inference=weigh)
             components.append(component_of(reading, hypothesis, own, share))
     return merge(components)
+
+
+def _touched(scenario: Scenario, belief: Belief) -> Iterable[str]:
+    """Whom the robot touches now: that no plan can avoid, nor does the hard check count it."""
+    robot = scenario.robot
+    gap = length(belief.mean[:, :2] - robot.position) - belief.radii - robot.radius
+    for i in np.flatnonzero(gap < 0):
+        yield f"in contact with {belief.names[i]} now, by {-gap[i]:.2f} m"
 
 
 def _scored(
@@ -233,7 +245,7 @@ def _decide(
         selected: int | None = safe[0]
         best = components[safe[0]]
         trajectory = best.robot
-        reason = f"hypothesis {best.label}, {best.start}"
+        reason = f"hypothesis {best.label}, from the start {best.start!r}"
         action = _action(scenario, "follow", trajectory, True, reason)
     else:
         selected = None

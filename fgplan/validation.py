@@ -62,7 +62,7 @@ _NOT_NEGATIVE = _Range(0, 1e15, "give a finite number, 0 or above")
 _NOT_NEGATIVE_OR_INF = _Range(0, 1e15, "give a number, 0 or above, or inf", infinite=True)
 _FINITE = _Range(-1e15, 1e15, "give a finite number")
 _SPEED = _Range(1e-3, 100, "give a speed above 0, at most 100 m/s")
-_CLOCK = _Range(-LATEST, LATEST, "give a finite time in seconds")
+_CLOCK = _Range(-LATEST, LATEST, f"give a time in seconds, within ±{LATEST:g}")
 
 _DENSITY = {
     "dt": _Range(1e-15, LONGEST_STEP, f"give a time above 0, at most {LONGEST_STEP:g} s"),

@@ -22,5 +22,6 @@ def needed(module: str, extra: str = "sim") -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise MissingExtra(
-            f"{module} is not installed ({error}); install it with: pip install 'fgplan[{extra}]'"
+            f"{module} is not installed ({error}); in the folder of fgplan, "
+            f"pip install -e '.[{extra}]'"
         ) from error

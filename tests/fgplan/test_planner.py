@@ -281,6 +281,18 @@ def test_a_belief_that_makes_no_sense_is_refused_by_name(crowd, changes, message
         plan(forked(crowd=crowd), belief=Belief(names=("a", "b"), Qc=0.1, **numbers))
 
 
+@pytest.mark.parametrize("deadline", [-0.1, np.nan])
+def test_a_deadline_that_is_no_time_is_refused(deadline):
+    with pytest.raises(ValueError, match=r"deadline must be .* got"):
+        plan(forked(), deadline=deadline)
+
+
+def test_who_is_touched_already_is_named():
+    mixture = plan(forked(track("near", 0.3, 0.0), track("far", 3.0, 0.0)))
+    contacts = [warning for warning in mixture.warnings if "in contact" in warning]
+    assert contacts == ["in contact with near now, by 0.25 m"]
+
+
 def test_no_hypotheses_at_all_is_no_plan():
     with pytest.raises(NoPlan, match="gave none"):
         plan(forked(), hypotheses=lambda scenario, belief: ())

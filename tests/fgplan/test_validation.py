@@ -235,8 +235,8 @@ def test_good_data_passes() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "mend"),
     [
-        ("time", np.nan, "finite time"),
-        ("time", "now", "finite time"),
+        ("time", np.nan, "time in seconds"),
+        ("time", "now", "time in seconds"),
         ("value", np.array([np.nan, 0.0]), "finite numbers"),
         ("value", np.zeros(3), "shape"),
         ("covariance", np.diag([1.0, 0.0]), "positive definite"),
