@@ -6,7 +6,8 @@ way, and wide arcs among many people.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from fgplan.crowd import Belief, heading
 from fgplan.hypothesis import Start
 from fgplan.scenario import Scenario
 from fgplan.timing import timed
-from fgplan.trajectory import Trajectory
+from fgplan.trajectory import Trajectory, hermite
 
 Array = NDArray[np.float64]
 
@@ -46,8 +47,8 @@ def starts(scenario: Scenario, belief: Belief, plan: Trajectory, path: Array) ->
     candidates = [Start("wait", _creep(scenario, path))]
     candidates += _sides(scenario, belief, plan)
     candidates += _arcs(scenario, belief, plan)
-    clear = [start for start in candidates if _through_free_space(scenario, start.robot)]
-    return (Start("plan", plan), *clear)
+    clear = _through_free_space(scenario, [start.robot for start in candidates])
+    return (Start("plan", plan), *compress(candidates, clear))
 
 
 def only_plan(
@@ -121,10 +122,17 @@ def _left(velocity: Array) -> Array:
     return np.array([-y, x])
 
 
-def _through_free_space(scenario: Scenario, robot: Trajectory) -> bool:
-    """Whether the centre of the robot stays out of walls: a start through one would end in
-    another plan's corridor."""
+def _through_free_space(scenario: Scenario, robots: Sequence[Trajectory]) -> Iterable[bool]:
+    """Of which of M robots at the same times the centre stays out of walls: a start through one
+    would end in another plan's corridor."""
     if scenario.grid is None:
-        return True
-    t = np.linspace(robot.times[0], robot.times[-1], 4 * len(robot.times))
-    return bool(np.all(scenario.grid.clearance(robot.at(t)[:, :2], 0.0) > 0))
+        return [True] * len(robots)
+    times = robots[0].times
+    t = np.linspace(times[0], times[-1], 4 * len(times))
+    positions, velocities = (
+        np.stack(each, axis=1)
+        for each in zip(*((r.positions, r.velocities) for r in robots), strict=True)
+    )
+    centres, _ = hermite(times, positions, velocities, t)
+    clear: list[bool] = np.all(scenario.grid.clearance(centres, 0.0) > 0, axis=0).tolist()
+    return clear
