@@ -97,7 +97,8 @@ class GivenPlan:
 
     Args:
         label: Its name in every table.
-        path: Vertices, shape (N, 2) [m]; the first is where the robot is.
+        path: Vertices, shape (N, 2) [m]; the first is where the robot is, or else a straight line
+            from there is put before it. What of it the map does not allow, the hard check refuses.
         weight: w_i, any positive number on the scale of the other given plans; None means that
             the weight comes from the path's cost like a generated plan's.
     """
