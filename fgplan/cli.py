@@ -1,7 +1,7 @@
 """The command line: `fgplan plan`, `fgplan demo`, `fgplan graph`, `fgplan stack`.
 
-Exit codes: 0 there is a plan (or a stop, which is printed as one), 1 there is none, 2 the input
-makes no sense.
+Exit codes: 0 there is a plan (or a safe stop, which is printed as one), 1 there is none, 2 the
+input makes no sense.
 """
 
 from __future__ import annotations
@@ -153,6 +153,8 @@ def plan_command(
         written += _save(mixture, asked, out or Path("out"), "plan")
     if written and json_to != "-":
         print(f"wrote     {', '.join(map(str, written))}")
+    if not mixture.action.safe:
+        raise typer.Exit(1)
 
 
 @app.command()

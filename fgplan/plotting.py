@@ -94,7 +94,8 @@ def draw_plans(plans: Sequence[tuple[Mixture, Scenario]], path: str | Path | Non
 def _title(mixture: Mixture) -> str:
     best, i = mixture.best, mixture.selected
     if best is None or i is None:
-        return f"{mixture.name}: stops, no hypothesis is safe"
+        stop = "" if mixture.action.safe else ", and the stop is NOT CLEAR"
+        return f"{mixture.name}: stops, no hypothesis is safe{stop}"
     height, mass = mixture.probability_height[i], mixture.probability_mass[i]
     chance = f"P = {height:.2f} by height, {mass:.2f} by mass"
     return f"{mixture.name}: selected {_short(best.label)} ({chance})"

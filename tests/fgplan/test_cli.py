@@ -208,6 +208,19 @@ def test_unexpected_errors_keep_their_traceback(
     assert isinstance(result.exception, RuntimeError)
 
 
+def test_a_stop_that_is_not_clear_is_no_plan(small: Path) -> None:
+    """At 9 m/s, 2 m before a wall: exit code 1, and all is written and said."""
+    fast = SMALL.replace("[0.5, 0.0]", "[9.0, 0.0]").replace("[0.0, 0.2]", "[1.0, 0.2]")
+    small.write_text(fast, encoding="utf-8")
+    result = run("plan", small, "--json", "plan.json", "--out", "there")
+    assert result.exit_code == 1
+    assert "STOP      NOT CLEAR" in result.stdout
+    assert not strict(Path("plan.json").read_text(encoding="utf-8"))["action"]["safe"]
+    assert Path("there/plan.png").is_file()
+    alone = run("plan", small, "--json", "-")
+    assert (alone.exit_code, strict(alone.stdout)["action"]["safe"]) == (1, False)
+
+
 def test_stop_is_a_success_and_is_printed_as_a_stop(small: Path) -> None:
     """People stand all around a robot that moves."""
     ring = 0.2j + 0.9 * np.exp(0.25j * np.pi * np.arange(8))
@@ -216,11 +229,12 @@ def test_stop_is_a_success_and_is_printed_as_a_stop(small: Path) -> None:
         f"track = [[-0.4, {p.real:.3f}, {p.imag:.3f}], [0.0, {p.real:.3f}, {p.imag:.3f}]]\n"
         for i, p in enumerate(ring)
     )
-    small.write_text(SMALL.replace("[0.5, 0.0]", "[1.0, 0.0]") + people, encoding="utf-8")
+    alone = SMALL.partition("[[people]]")[0].replace("[0.5, 0.0]", "[1.0, 0.0]")
+    small.write_text(alone + people, encoding="utf-8")
     result = run("plan", small, "--crowd", "predicted")
     assert result.exit_code == 0
     assert "selected  none" in result.stdout
-    assert "STOP" in result.stdout
+    assert "STOP      clear of people and obstacles" in result.stdout
 
 
 def test_recordings_are_planned(small: Path) -> None:

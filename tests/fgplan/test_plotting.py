@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from fgplan.mixture import Mixture
+from fgplan.occupancy import OccupancyGrid
 from fgplan.planner import plan
 from fgplan.plotting import HYPOTHESES, draw_plan, draw_plans
 from fgplan.scenario import FieldOfView, GivenPlan, Robot, Scenario, Track
@@ -97,6 +98,14 @@ def test_no_hypothesis_is_safe(tmp_path: Path) -> None:
     assert "planned with the robot" not in shown  # they are held at their prediction
 
 
+def test_the_title_says_when_the_stop_is_not_clear() -> None:
+    wall = OccupancyGrid.from_polygons([[(2, -3), (3, -3), (3, 3), (2, 3)]], (-2, -4, 8, 4), 0.1)
+    fast = Scenario(Robot(START, np.array([9.0, 0.0])), goal=np.array([6.0, 0.0]), grid=wall)
+    assert "scenario: stops, no hypothesis is safe, and the stop is NOT CLEAR" in texts(
+        draw_plan(plan(fast), fast)
+    )
+
+
 def test_without_goal_people_and_map() -> None:
     alone = Scenario(Robot(START, np.array([0.8, 0.0])))
     shown = texts(draw_plan(plan(alone), alone))
@@ -107,8 +116,6 @@ def test_without_goal_people_and_map() -> None:
 
 def test_map_is_drawn_where_it_is() -> None:
     """A rotated map: the picture's corners are the map's."""
-    from fgplan.occupancy import OccupancyGrid
-
     data = np.zeros((40, 60), dtype=np.int8)
     grid = OccupancyGrid(data, 0.2, np.array([-2.0, -4.0, 0.3]))
     scene = Scenario(Robot(START), goal=np.array([2.0, 1.0]), grid=grid)
