@@ -340,7 +340,8 @@ def _table(mixture: Mixture) -> Table:
     )
     for i, (c, height, mass) in enumerate(rows):
         mark = "*" if i == mixture.selected else " "
-        numbers = [*_weights(c), f"{height:.3f}", f"{mass:.3f}", *_counts(c)]
+        by_mass = f"{mass:.3f}" if mixture.has_mass else "–"
+        numbers = [*_weights(c), f"{height:.3f}", by_mass, *_counts(c)]
         verdict = "yes" if c.feasible else "no: " + ", ".join(c.check.problems)
         style = "bold" if i == mixture.selected else None
         table.add_row(Text(f"{mark} {c.label}"), *numbers, Text(verdict), style=style)

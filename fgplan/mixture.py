@@ -115,7 +115,8 @@ class Mixture:
         now: Of the scenario [s].
         components: In the order of their score, best first.
         probability_height: softmax(log w_i − lowest_i), shape (K,).
-        probability_mass: softmax(log w_i + log Z_i), shape (K,); 0 where there is no evidence.
+        probability_mass: softmax(log w_i + log Z_i), shape (K,); 0 where there is no evidence, so
+            all 0 where nobody has any: then it says nothing, and in JSON it is null.
         selected: Index of the component that is followed; None when none is safe.
         trajectory: What will be driven: the selected plan, or the stop.
         action: Its next step.
@@ -139,6 +140,11 @@ class Mixture:
         """The selected component."""
         return None if self.selected is None else self.components[self.selected]
 
+    @property
+    def has_mass(self) -> bool:
+        """Whether anybody has evidence, and `probability_mass` a meaning."""
+        return bool(self.probability_mass.any())
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: no NaN, no infinity (null instead)."""
         best = self.best
@@ -160,7 +166,7 @@ class Mixture:
             "timing": self.timing,
             "warnings": list(self.warnings),
             "hypotheses": [
-                _component_dict(component, height, mass)
+                _component_dict(component, height, mass if self.has_mass else None)
                 for component, height, mass in zip(
                     self.components,
                     self.probability_height.tolist(),
@@ -171,7 +177,7 @@ class Mixture:
         }
 
 
-def _component_dict(c: Component, height: float, mass: float) -> dict[str, Any]:
+def _component_dict(c: Component, height: float, mass: float | None) -> dict[str, Any]:
     return {
         "label": c.label,
         "log_prior": c.log_prior,

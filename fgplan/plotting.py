@@ -96,8 +96,9 @@ def _title(mixture: Mixture) -> str:
     if best is None or i is None:
         stop = "" if mixture.action.safe else ", and the stop is NOT CLEAR"
         return f"{mixture.name}: stops, no hypothesis is safe{stop}"
-    height, mass = mixture.probability_height[i], mixture.probability_mass[i]
-    chance = f"P = {height:.2f} by height, {mass:.2f} by mass"
+    chance = f"P = {mixture.probability_height[i]:.2f} by height"
+    if mixture.has_mass:
+        chance += f", {mixture.probability_mass[i]:.2f} by mass"
     return f"{mixture.name}: selected {_short(best.label)} ({chance})"
 
 
@@ -348,17 +349,18 @@ def _draw_bars(axes: Axes, mixture: Mixture) -> None:
     """P(i) by height and by mass; what is not feasible is named so."""
     where = np.arange(len(mixture.components), dtype=float)
     colours = _colours(mixture)
-    for shift, values, hatch in (
-        (-0.2, mixture.probability_height, ""),
-        (0.2, mixture.probability_mass, "////"),
-    ):
+    bars, said = [(-0.2, mixture.probability_height, "")], "probability by height"
+    if mixture.has_mass:
+        bars.append((0.2, mixture.probability_mass, "////"))
+        said = "probability (plain: height, hatched: mass)"
+    for shift, values, hatch in bars:
         axes.barh(where + shift, values, 0.36, color=colours, hatch=hatch, ec="black", lw=0.6)
         for y, value in zip(where + shift, values, strict=True):
             axes.text(value + 0.02, y, f"{value:.2f}", va="center", fontsize=8)
     labels = [_short(c.label) + "\nrefused" * (not c.feasible) for c in mixture.components]
     axes.set_yticks(where, labels, parse_math=False)
     axes.set(xlim=(0, 1.2), xticks=(0, 0.5, 1))
-    axes.set_xlabel("probability (plain: height, hatched: mass)", fontsize=8)
+    axes.set_xlabel(said, fontsize=8)
     axes.set_ylim(max(len(where), 3) - 0.5, -0.5)
     axes.spines[["top", "right"]].set_visible(False)
 

@@ -116,6 +116,17 @@ def test_probabilities_are_the_softmax_of_the_scores(small: Path) -> None:
         assert [h[probability] for h in hypotheses] == pytest.approx(expected.tolist(), abs=1e-12)
 
 
+def test_without_evidence_there_is_no_probability_by_mass(small: Path) -> None:
+    result = run("plan", small, "--inference", "map")
+    assert result.exit_code == 0
+    data = strict(Path("out/plan.json").read_text(encoding="utf-8"))
+    assert [h["probability_mass"] for h in data["hypotheses"]] == [None, None]
+    for hypothesis in data["hypotheses"]:
+        lines = (line.replace("*", " ").split() for line in result.stdout.splitlines())
+        numbers = next(line for line in lines if line[:1] == [hypothesis["label"]])[1:]
+        assert (numbers[2], numbers[4]) == ("–", "–")
+
+
 def test_json_to_a_file(small: Path) -> None:
     result = run("plan", small, "--json", "here/plan.json", "--out", "there")
     assert result.exit_code == 0

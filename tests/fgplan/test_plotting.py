@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fgplan.inference import MAP
 from fgplan.mixture import Mixture
 from fgplan.occupancy import OccupancyGrid
 from fgplan.planner import plan
@@ -73,6 +74,12 @@ def test_picture_says_what_is_selected(mixture: Mixture, scenario: Scenario) -> 
     assert any(text.startswith(title) for text in shown)
     assert {"x [m]", "y [m]", "1 s", "2 s", "3 s", "4 s", "a$b$", "behind"} <= set(shown)
     assert "person not in view" in shown
+
+
+def test_where_nobody_has_evidence_mass_is_not_shown(scenario: Scenario) -> None:
+    unweighed = plan(scenario, inference=MAP())
+    assert unweighed.probability_mass.tolist() == [0.0, 0.0]
+    assert not [text for text in texts(draw_plan(unweighed, scenario)) if "mass" in text]
 
 
 def test_axes_are_equal_and_in_metres(mixture: Mixture, scenario: Scenario) -> None:
