@@ -26,7 +26,7 @@ from fgplan.planner import plan
 from fgplan.scenario import Scenario
 from fgplan.simulation import command
 from fgplan.solver import GtsamLM, SecondOrder, Solver
-from fgplan.terminal import fail, progress, reported, write
+from fgplan.terminal import expect, fail, file_of, progress, reported, write
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -128,6 +128,11 @@ def plan_command(
     """Plan one scenario, or one moment of a recording: table, plan.json and plan.png."""
     if inference is InferenceName.MAP and select is SelectName.MASS:
         raise typer.BadParameter("map gives no evidence to select by", param_hint="--inference")
+    data = file_of(json_to)
+    folder = Path("out") if out is None and json_to is None else out
+    expect(data)
+    if folder is not None:
+        _expect_plan(folder, "plan")
     with reported():
         asked = _asked(scenario, recording, case, at)
         if crowd is not None:
@@ -147,10 +152,10 @@ def plan_command(
         if inference is not None:
             print("\n".join(_inferences(mixture)))
     written = []
-    if json_to not in (None, "-"):
-        written.append(write(Path(str(json_to)), _json(mixture)))
-    if out is not None or json_to is None:
-        written += _save(mixture, asked, out or Path("out"), "plan")
+    if data is not None:
+        written.append(write(data, _json(mixture)))
+    if folder is not None:
+        written += _save(mixture, asked, folder, "plan")
     if written and json_to != "-":
         print(f"wrote     {', '.join(map(str, written))}")
     if not mixture.action.safe:
@@ -172,6 +177,10 @@ def demo(
             f"the demo needs {files[0].name} and {files[1].name} of the source tree, which are "
             f"not in {folder / 'scenarios'}; name its data folder with --data"
         )
+    for file in files:
+        _expect_plan(out, file.stem)
+    picture = out / "five_people.png"
+    expect(picture)
     plans = []
     for file in files:
         with reported():
@@ -182,7 +191,6 @@ def demo(
         print()
     from fgplan.plotting import draw_plans
 
-    picture = out / "five_people.png"
     draw_plans(plans, picture)
     (empty, _), (crowded, asked) = plans
     print(f"wrote     {picture}, and each plan as .json and .png beside it")
@@ -198,11 +206,14 @@ def graph(
     hypothesis: Annotated[
         str | None, typer.Option(help="Label of the hypothesis (default: the first).")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Graphviz file.")] = Path("out/graph.dot"),
+    out: Annotated[Path, typer.Option(help="Graphviz file: .dot, .gv or .txt.")] = Path(
+        "out/graph.dot"
+    ),
 ) -> None:
     """Print the factor graph of a hypothesis, and draw it: .dot, and .svg where Graphviz is."""
     from fgplan import drawing
 
+    expect(out, ".dot", ".gv", ".txt")
     with reported():
         models = drawing.models(Scenario.load(scenario))
     label = hypothesis or next(iter(models))
@@ -232,6 +243,7 @@ def stack(
     from fgplan import stack_drawing
     from fgplan.factorisation import factorise
 
+    expect(out, ".png", ".svg", ".pdf")
     with reported():
         asked = Scenario.load(scenario)
         try:
@@ -277,6 +289,12 @@ def _inferences(mixture: Mixture) -> Iterator[str]:
 
 def _json(mixture: Mixture) -> str:
     return json.dumps(mixture.to_dict(), allow_nan=False)
+
+
+def _expect_plan(folder: Path, stem: str) -> None:
+    """Whether `_save` will be able to."""
+    expect(folder / f"{stem}.json")
+    expect(folder / f"{stem}.png")
 
 
 def _save(mixture: Mixture, scenario: Scenario, folder: Path, stem: str) -> list[Path]:

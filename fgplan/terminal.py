@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +49,34 @@ def fail(message: str, code: int = 2) -> NoReturn:
     """Say what is wrong, and end."""
     print(f"fgplan: {message}", file=sys.stderr)
     raise typer.Exit(code)
+
+
+def file_of(json_to: str | None) -> Path | None:
+    """The file that --json names; None where it names none: standard output, or nothing."""
+    return None if json_to in (None, "-") else Path(str(json_to))
+
+
+def expect(path: Path | None, *suffixes: str) -> None:
+    """Refuse, before any work, a file that could not be written after it; nothing is made yet.
+
+    Args:
+        path: Of the file; None: there will be none.
+        suffixes: Those that can be written; none: all.
+    """
+    if path is None:
+        return
+    if suffixes and path.suffix.lower() not in suffixes:
+        fail(f"{path}: got {path.suffix or 'no suffix'!r}; can write {', '.join(suffixes)}")
+    try:
+        if path.is_file():
+            path.open("ab").close()
+        elif path.is_dir():
+            fail(f"{path} cannot be written: it is a folder; name a file")
+        elif not path.exists():  # what is no file either, a pipe say, is opened once only
+            folder = next(above for above in path.absolute().parents if above.exists())
+            tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        fail(f"{path} cannot be written: {error.strerror}; name another place")
 
 
 def write(path: Path, text: str) -> Path:

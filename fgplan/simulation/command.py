@@ -20,7 +20,7 @@ from fgplan.simulation import crowdnav, metrics, recorded
 from fgplan.simulation.batch import Job, Measure, cluster, local, run_all
 from fgplan.simulation.file import FromFile
 from fgplan.simulation.planners import named
-from fgplan.terminal import progress, reported, write
+from fgplan.terminal import expect, file_of, progress, reported, write
 
 evaluate = typer.Typer(
     help="Drive a public benchmark: CrowdNav, or recorded people.", no_args_is_help=True
@@ -84,6 +84,10 @@ def simulate(
     scheduler: Scheduler = None,
 ) -> None:
     """Drive in simulated worlds: a row a planner and scenario, on the same seeds."""
+    expect(file_of(json_to))
+    expect(csv_to)
+    expect(gif, ".gif")
+    expect(store)
     with reported():
         makers = [named(name) for name in planner]
         stick = [] if operator is None else [f"world.operator={operator}"]
@@ -111,8 +115,9 @@ def simulate(
     else:
         _table(lines)
     written = [] if gif is None else [gif]
-    if json_to not in (None, "-"):
-        written.append(write(Path(str(json_to)), json.dumps(lines, allow_nan=False)))
+    data = file_of(json_to)
+    if data is not None:
+        written.append(write(data, json.dumps(lines, allow_nan=False)))
     if csv_to is not None:
         written.append(write(csv_to, _csv(rows)))
     if written and json_to != "-":
@@ -139,6 +144,8 @@ def evaluate_crowdnav(
     scheduler: Scheduler = None,
 ) -> None:
     """CrowdNav's crossing, by its published rules and cases."""
+    expect(file_of(json_to))
+    expect(store)
     with reported():
         named(planner)
         setup = crowdnav.CrowdNav(people, layout.value, visible, varied)
@@ -162,6 +169,8 @@ def evaluate_recorded(
     scheduler: Scheduler = None,
 ) -> None:
     """Drive in the place of recorded people, for the recordings' own evaluation to judge."""
+    expect(out)
+    expect(store)
     with reported():
         named(planner)
         setup = recorded.Recorded(data.resolve(), tier)

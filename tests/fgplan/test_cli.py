@@ -198,6 +198,54 @@ def test_folder_that_cannot_be_written(small: Path) -> None:
     assert "cannot be written" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("stack", "--out", "x.xyz"), ("x.xyz", "'.xyz'", ".png, .svg, .pdf")),
+        (("stack", "--out", "picture"), ("'no suffix'", ".png, .svg, .pdf")),
+        (("graph", "--out", "g/min.png"), ("g/min.png", "'.png'", ".dot, .gv, .txt")),
+        (("simulate", "--gif", "a.txt"), ("a.txt", "'.txt'", ".gif")),
+        (("plan", "--out", "shut/x"), ("shut/x/plan.json", "cannot be written")),
+        (("plan", "--json", "shut/x.json"), ("shut/x.json", "cannot be written")),
+        (("plan", "--json", "."), ("it is a folder",)),
+        (("graph", "--out", "shut/x.dot"), ("shut/x.dot", "cannot be written")),
+        (("stack", "--out", "shut/x.png"), ("shut/x.png", "cannot be written")),
+        (("simulate", "--csv", "shut/a.csv"), ("shut/a.csv", "cannot be written")),
+        (("simulate", "--json", "shut/a.json"), ("shut/a.json", "cannot be written")),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_any_work(
+    small: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], says: tuple[str, ...]
+) -> None:
+    """The scenario is not even read, and nothing is made."""
+    Path("shut").write_text("a file, where a folder is needed", encoding="utf-8")
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("worked")
+
+    monkeypatch.setattr(Scenario, "load", refuse)
+    command, *options = arguments
+    result = run(command, small, *options)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert all(words in result.stderr for words in says)
+    assert {path.name for path in small.parent.iterdir()} == {"small.toml", "shut"}
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc")
+def test_a_place_where_no_file_can_be_made(small: Path) -> None:
+    """It is tried, not looked up: whoever runs this may write everywhere, by the book."""
+    result = run("plan", small, "--out", "/proc/x")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "/proc/x/plan.json cannot be written" in result.stderr
+
+
+def test_a_file_is_written_anew_and_a_new_folder_made(small: Path) -> None:
+    Path("old.dot").write_text("old", encoding="utf-8")
+    assert run("graph", small, "--out", "old.dot").exit_code == 0
+    assert run("graph", small, "--out", "new/er/graph.GV").exit_code == 0
+    assert Path("old.dot").read_bytes() == Path("new/er/graph.GV").read_bytes()
+
+
 def test_no_plan_is_exit_code_1(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing(*_: object, **__: object) -> None:
         raise NoPlan("none of ['A'] has a finite posterior")
