@@ -55,7 +55,7 @@ class Coupling:
         joins: Those of them that live below it as well: they couple the two levels. What else
             lives below is independent of what comes from above.
         divergence: Of the density from the one without it [nats]; inf where a level would be held
-            by nothing.
+            by nothing, or where the optimum would be none: people and obstacles push away from it.
         divergence_robot: The same for the robot's motion alone [nats].
     """
 
@@ -136,7 +136,8 @@ def divergence(model: Model, state: Array, term: str) -> tuple[float, float]:
             nothing.
 
     Returns:
-        inf where the density without the term is none: nothing holds one of its variables.
+        inf where no Gaussian is left without the term: nothing holds one of its variables, or the
+        density curves the other way, as beside people, who push away.
     """
     without = replace(model, own=tuple(one for one in model.own if one.name != term))
     H, free, _ = _expanded(model, state)

@@ -4,7 +4,7 @@ one picture, as the paper draws them."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import isfinite
+from math import isfinite, isinf
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +64,20 @@ def describe(scenario: Scenario, report: Report) -> str:
         numbers = (f"{c.divergence:.3f}", f"{c.divergence_robot:.3f}")
         table.append((f"{c.above} – {c.below}", need, "; ".join(c.joins) or "–", *numbers))
     blocks = [head, _table(rows), f"p(i, …) ∝ {' '.join(_product(scenario))}", _table(parts)]
-    closing = (
-        f"KL: of the density of hypothesis {report.hypothesis} from the one without the coupling."
-    )
-    return "\n\n".join([*blocks, _table(table), closing]) + "\n"
+    closing = [
+        f"KL: of the density of hypothesis {report.hypothesis} from the one without the coupling.",
+        *_infinite(report),
+    ]
+    return "\n\n".join([*blocks, _table(table), "\n".join(closing)]) + "\n"
+
+
+def _infinite(report: Report) -> Iterator[str]:
+    """What an infinite divergence means, in words: no Gaussian is left without the coupling."""
+    if any(isinf(c.divergence_robot) for c in report.couplings):
+        yield "inf of the robot: only the coupling makes this plan an optimum. Without it, what"
+        yield "pushes away (people, obstacles) outweighs what holds: no Gaussian to compare."
+    if any(isinf(c.divergence) and isfinite(c.divergence_robot) for c in report.couplings):
+        yield "inf, but not of the robot: only the coupling holds a level that the robot can spare."
 
 
 def prior_of(level: Level, is_first: bool) -> str:

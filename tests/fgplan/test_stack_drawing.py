@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +83,21 @@ def test_a_mission_shows_its_formula_and_what_it_forbids() -> None:
     text = describe(asked, factorise(asked))
     assert "3 best of F desk & G !wet" in text
     assert "KeepOut wet" in text
+
+
+def test_an_infinite_divergence_is_explained() -> None:
+    """In the hall people push the robot off A, where the mission holds it."""
+    asked = Scenario.load(DATA / "hall.toml")
+    report = factorise(asked)
+    (coupling,) = report.couplings
+    assert (coupling.divergence, coupling.divergence_robot) == (np.inf, np.inf)
+    text = describe(asked, report)
+    assert "inf of the robot: only the coupling makes this plan an optimum" in text
+    assert "not of the robot" not in text
+    spare = replace(report, couplings=(replace(coupling, divergence_robot=0.0),))
+    assert "inf, but not of the robot: only the coupling holds a level" in describe(asked, spare)
+    plain = replace(report, couplings=(replace(coupling, divergence=1.0, divergence_robot=0.5),))
+    assert "inf" not in describe(asked, plain)
 
 
 def test_command_prints_and_draws(tmp_path: Path) -> None:
