@@ -7,47 +7,25 @@ input makes no sense.
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from fgplan import selection
 from fgplan.inference import METHODS
 from fgplan.inference.laplace import QUICK
-from fgplan.mixture import Component, Mixture
+from fgplan.mixture import Mixture
 from fgplan.planner import plan
+from fgplan.printing import inferences, notes, show
 from fgplan.scenario import Scenario
 from fgplan.simulation import command
 from fgplan.solver import GtsamLM, SecondOrder, Solver
 from fgplan.terminal import expect, fail, file_of, progress, reported, write
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-WIDTH = 120
-"""Least columns of a table: a number must not be cut."""
-HEADS = (
-    "prior\nw",
-    "energy\nnats",
-    "log\nevidence",
-    "P by\nheight",
-    "P by\nmass",
-    "separation\nm",
-    "clearance\nm",
-    "itera-\ntions",
-    "time\nms",
-    "\noptima",
-)
-"""Of the numbers of a hypothesis, with their units; see `docs/conventions.md`."""
-YIELDS = 0.05
-"""A displacement from here on is worth naming [standard deviations]."""
 
 app = typer.Typer(
     help="Plans for robots among people, as inference on a factor graph.",
@@ -145,12 +123,12 @@ def plan_command(
             )  # fmt: skip
     if json_to == "-":
         print(_json(mixture))
-        for line in _notes(mixture):
+        for line in notes(mixture):
             print(line, file=sys.stderr)
     else:
-        _show(mixture)
+        show(mixture)
         if inference is not None:
-            print("\n".join(_inferences(mixture)))
+            print("\n".join(inferences(mixture)))
     written = []
     if data is not None:
         written.append(write(data, _json(mixture)))
@@ -186,7 +164,7 @@ def demo(
         with reported():
             asked = Scenario.load(file)
             plans.append((plan(asked), asked))
-        _show(plans[-1][0])
+        show(plans[-1][0])
         _save(*plans[-1], out, file.stem)
         print()
     from fgplan.plotting import draw_plans
@@ -270,23 +248,6 @@ def _asked(scenario: Path | None, recording: Path | None, case: str | None, at: 
     return recordings.scenario(recording, case, at)
 
 
-def _inferences(mixture: Mixture) -> Iterator[str]:
-    """What the inference method says of each hypothesis."""
-    for c in mixture.components:
-        if c.inferred is None:
-            continue
-        result, d = c.inferred, c.inferred.diagnostics
-        evidence = "none" if result.log_evidence is None else f"{result.log_evidence:.3f}"
-        error = result.log_evidence_error
-        parts = [f"log evidence {evidence}" + ("" if error is None else f" ± {error:.3f}")]
-        if d.ess is not None:
-            drawn = d.draws if d.chains else d.energies
-            parts.append(f"{d.ess:.0f} effective of {drawn} draws")
-        if d.rhat is not None:
-            parts.append(f"split R-hat {d.rhat:.3f}")
-        yield f"inference {c.label} by {result.method}: {', '.join(parts)}"
-
-
 def _json(mixture: Mixture) -> str:
     return json.dumps(mixture.to_dict(), allow_nan=False)
 
@@ -305,83 +266,6 @@ def _save(mixture: Mixture, scenario: Scenario, folder: Path, stem: str) -> list
     picture = folder / f"{stem}.png"
     draw_plan(mixture, scenario, picture)
     return [data, picture]
-
-
-def _show(mixture: Mixture) -> None:
-    """The table of hypotheses, what is selected, and what to do."""
-    from rich.console import Console
-
-    columns = shutil.get_terminal_size((WIDTH, 40)).columns
-    Console(highlight=False, width=max(columns, WIDTH)).print(_table(mixture))
-    print(f"selected  {_selected(mixture.best)}")
-    action = mixture.action
-    (x, y), (vx, vy) = action.position, action.velocity
-    print(
-        f"action    {action.kind}: velocity ({vx:.2f}, {vy:.2f}) m/s, "
-        f"next position ({x:.2f}, {y:.2f}) m in {action.time:g} s"
-    )
-    for line in _notes(mixture):
-        print(line)
-
-
-def _notes(mixture: Mixture) -> Iterator[str]:
-    """What to know before driving."""
-    if mixture.action.kind == "stop":
-        clear = "clear of people and obstacles" if mixture.action.safe else "NOT CLEAR"
-        yield f"STOP      {clear}; {mixture.action.reason}"
-    for warning in mixture.warnings:
-        yield f"note      {warning}"
-
-
-def _selected(best: Component | None) -> str:
-    if best is None:
-        return "none"
-    moved = [f"{name} by {far:.1f} σ" for name, far in best.displacement.items() if far >= YIELDS]
-    asks = f"; asks people to yield: {', '.join(moved)}" if moved else ""
-    return f"{best.label} (from the start {best.start!r}){asks}"
-
-
-def _table(mixture: Mixture) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    total = 1e3 * mixture.timing["total"]
-    title = Text(f"{mixture.name} ({total:.0f} ms)")
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=(0, 1, 0, 0))
-    table.add_column("hypothesis", min_width=10, overflow="fold")
-    for head in HEADS:
-        table.add_column(head, justify="right", no_wrap=True)
-    table.add_column("feasible", min_width=24, overflow="fold")
-    rows = zip(
-        mixture.components, mixture.probability_height, mixture.probability_mass, strict=True
-    )
-    for i, (c, height, mass) in enumerate(rows):
-        mark = "*" if i == mixture.selected else " "
-        by_mass = f"{mass:.3f}" if mixture.has_mass else "–"
-        numbers = [*_weights(c), f"{height:.3f}", by_mass, *_counts(c)]
-        verdict = "yes" if c.feasible else "no: " + ", ".join(c.check.problems)
-        style = "bold" if i == mixture.selected else None
-        table.add_row(Text(f"{mark} {c.label}"), *numbers, Text(verdict), style=style)
-    return table
-
-
-def _weights(c: Component) -> list[str]:
-    evidence = "–" if c.log_evidence is None else f"{c.log_evidence:.3f}"
-    return [f"{math.exp(c.log_prior):.3f}", f"{c.energy:.3f}", evidence]
-
-
-def _counts(c: Component) -> list[str]:
-    def metres(value: float) -> str:
-        return f"{value:.2f}" if math.isfinite(value) else "–"
-
-    return [
-        metres(c.check.min_separation),
-        metres(c.check.clearance),
-        str(c.iterations),
-        f"{1e3 * c.seconds:.1f}",
-        str(c.optima),
-    ]
 
 
 def _verdict(empty: Mixture, crowded: Mixture, people: int) -> tuple[str, bool]:

@@ -21,6 +21,7 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, believe, heading, seen
+from fgplan.labels import short
 from fgplan.mixture import Component, Mixture
 from fgplan.occupancy import OCCUPIED, OccupancyGrid
 from fgplan.regions import Region
@@ -99,17 +100,7 @@ def _title(mixture: Mixture) -> str:
     chance = f"P = {mixture.probability_height[i]:.2f} by height"
     if mixture.has_mass:
         chance += f", {mixture.probability_mass[i]:.2f} by mass"
-    return f"{mixture.name}: selected {_short(best.label)} ({chance})"
-
-
-def _short(label: str) -> str:
-    """A label that leaves room for the picture: of hypotheses that ended in one optimum the first,
-    and how many more."""
-    first, *others = label.split("+")
-    if len(label) <= LONGEST:
-        return label
-    more = f" +{len(others)}" if others else ""
-    return (first if len(first) <= LONGEST else f"{first[: LONGEST - 1]}…") + more
+    return f"{mixture.name}: selected {short(best.label, LONGEST)} ({chance})"
 
 
 def _colours(mixture: Mixture) -> list[str]:
@@ -244,7 +235,7 @@ def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> N
         axes.text(
             x,
             y,
-            f"{_short(component.label)}  {mixture.probability_height[i]:.2f}",
+            f"{short(component.label, LONGEST)}  {mixture.probability_height[i]:.2f}",
             ha="center",
             va="center",
             fontsize=10,
@@ -357,7 +348,7 @@ def _draw_bars(axes: Axes, mixture: Mixture) -> None:
         axes.barh(where + shift, values, 0.36, color=colours, hatch=hatch, ec="black", lw=0.6)
         for y, value in zip(where + shift, values, strict=True):
             axes.text(value + 0.02, y, f"{value:.2f}", va="center", fontsize=8)
-    labels = [_short(c.label) + "\nrefused" * (not c.feasible) for c in mixture.components]
+    labels = [short(c.label, LONGEST) + "\nrefused" * (not c.feasible) for c in mixture.components]
     axes.set_yticks(where, labels, parse_math=False)
     axes.set(xlim=(0, 1.2), xticks=(0, 0.5, 1))
     axes.set_xlabel(said, fontsize=8)

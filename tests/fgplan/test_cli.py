@@ -86,6 +86,15 @@ def test_plan_prints_a_table_and_writes_two_files(small: Path) -> None:
     assert Path("out/plan.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_names_of_a_mission_are_broken_between_their_stops(small: Path) -> None:
+    printed = run("plan", ROOT / "data" / "scenarios" / "hospital.toml").stdout
+    table = printed.partition("\nselected")[0].replace("*", " ")
+    words = [line.split() for line in table.splitlines()]
+    first = next(i for i, line in enumerate(words) if "pharmacy>laboratory>" in line)
+    assert words[first][-1] == "yes"
+    assert words[first + 1] == ["ward_b", "#1"]
+
+
 def test_json_alone_on_standard_output(small: Path) -> None:
     result = run("plan", small, "--json", "-")
     assert result.exit_code == 0
