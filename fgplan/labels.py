@@ -1,4 +1,4 @@
-"""Names of hypotheses, shortened and broken where it can be read.
+"""Names of hypotheses: shortened, broken where it can be read, placed where they hide nothing.
 
 Those of a mission list its stops, "shelf>desk #1"; hypotheses that ended in one optimum have their
 names joined with "+".
@@ -7,6 +7,17 @@ names joined with "+".
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ROOM = 1.0
+"""A label this far from everything hides nothing [m]."""
+BESIDE = (0.0, 2.0, -2.0, 4.0, -4.0)
+"""How far above its line a label may be, the line itself first [half its height]."""
 
 
 def lines(label: str, longest: int) -> list[str]:
@@ -31,3 +42,34 @@ def short(label: str, longest: int) -> str:
     first, *others = label.split("+")
     more = f" +{len(others)}" if others else ""
     return (first if len(first) <= longest else f"{first[: longest - 1]}…") + more
+
+
+def place(line: Array, half: Array, marks: Array, others: Sequence[Array], box: Array) -> Array:
+    """Where a label of a line hides nothing: on the line, or above or below it.
+
+    Args:
+        line: Points of the line, shape (N, 2) [m].
+        half: Half the width and height of the label, shape (2,) [m].
+        marks: What must not be hidden, shape (M, 2) [m].
+        others: Lines that the label could be taken to belong to, (M, 2) each [m].
+        box: Corners of the picture, shape (2, 2) [m].
+
+    Returns:
+        Its centre, shape (2,) [m].
+    """
+    best, most = line[len(line) // 2], -np.inf
+    for shift in BESIDE:
+        centres = np.clip(line + np.array([0.0, shift * half[1]]), box[0] + half, box[1] - half)
+        room = 2 * _room(centres, half, marks)
+        room += _room(centres, half, np.vstack([np.zeros((0, 2)), *others]))
+        room -= _room(centres, half, line)
+        if room.max() > most + 0.1:
+            roomy = centres[room >= room.max() - 0.1]
+            best, most = roomy[len(roomy) // 2], float(room.max())
+    return np.asarray(best)
+
+
+def _room(centres: Array, half: Array, points: Array) -> Array:
+    """From labels to the nearest of all points, at most `ROOM`, shape (N,) [m]."""
+    apart = np.maximum(np.abs(centres[:, None] - points) - half, 0.0)
+    return np.asarray(np.linalg.norm(apart, axis=-1).min(axis=1, initial=ROOM))

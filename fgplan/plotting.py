@@ -5,6 +5,7 @@ Figures are matplotlib's `Figure` objects: no pyplot, no global state, no displa
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,46 +13,34 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, ListedColormap, Normalize
+from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse, Wedge
 from matplotlib.patheffects import withStroke
-from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
+from fgplan.canvas import GOAL, PERSON, ROBOT, Box, draw_grid, draw_region
 from fgplan.crowd import Belief, believe, heading, seen
-from fgplan.labels import short
+from fgplan.labels import place, short
+from fgplan.legend import LONGEST, colours_of, draw_bars, draw_legend, is_narrow
 from fgplan.mixture import Component, Mixture
-from fgplan.occupancy import OCCUPIED, OccupancyGrid
-from fgplan.regions import Region
 from fgplan.scenario import Scenario, Track
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
-Box = tuple[float, float, float, float]
-"""(x_min, y_min, x_max, y_max) [m]."""
-
-# Okabe and Ito's colours, and cividis for time: a colour-blind reader can tell them apart.
-ROBOT = "#0072b2"
-PERSON = "#d55e00"
-GOAL = "#f0e442"
-HYPOTHESES = ("#56b4e9", "#009e73", "#cc79a7", "#e69f00", "#999999")
-REGION = "#7a4b94"
-FREE, UNKNOWN, OBSTACLE = "#f4f4f4", "#cfcfcf", "#5a5a5a"
 
 WIDTH = 12.0
 """Of a figure [inch]."""
+MAP_SHARE = 0.7
+"""Of it, what the map has at most."""
+LETTERS = 9.0, 12.0
+"""Letters an inch, of a title and of a label."""
 MARGIN = 1.0
 """Shown around everything that moves [m]."""
 NARROWEST = 6.0
 """Least width and height of what is shown [m]."""
-FINE = 300
-"""Points across the picture at which a region is looked at."""
-ROOM = 1.0
-"""A label this far from everything hides nothing [m]."""
-LONGEST = 28
-"""Of a label in a picture [characters]."""
+NEAREST = 0.29
+"""Between two numbers along a plan [inch]."""
 ELLIPSES = (0.25, 0.5)
 """Shares of the horizon at which a prediction's 2σ ellipse is drawn."""
 
@@ -71,42 +60,53 @@ def draw_plans(plans: Sequence[tuple[Mixture, Scenario]], path: str | Path | Non
     """Several plans below each other, to compare; otherwise as `draw_plan`."""
     boxes = [_view(mixture, scenario) for mixture, scenario in plans]
     shares = [min((b[3] - b[1]) / (b[2] - b[0]), 1.0) for b in boxes]
-    heights = [max(0.7 * WIDTH * share, 3.0) + 1.3 for share in shares]
+    titles = [_title(mixture, box) for (mixture, _), box in zip(plans, boxes, strict=True)]
+    heights = [
+        max(MAP_SHARE * WIDTH * share, 3.0) + 1.3 + 0.25 * title.count("\n")
+        for share, title in zip(shares, titles, strict=True)
+    ]
     figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
     rows = figure.subfigures(len(plans), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for row, (mixture, scenario), box, height in zip(rows, plans, boxes, heights, strict=True):
-        bars_share = min((0.6 + 0.4 * max(len(mixture.components), 3)) / height, 0.6)
+    for row, (mixture, scenario), box, height, title in zip(
+        rows, plans, boxes, heights, titles, strict=True
+    ):
+        bars_share = min((0.6 + 0.5 * max(len(mixture.components), 3)) / height, 0.6)
         picture, bars, legend = row.subplot_mosaic(
             [["map", "bars"], ["map", "legend"]],
             width_ratios=(3.4, 1),
             height_ratios=(bars_share, 1 - bars_share),
         ).values()
         _draw_map_panel(picture, mixture, scenario, box)
-        _draw_bars(bars, mixture)
-        _draw_legend(legend, mixture, scenario)
-        picture.set_title(
-            _title(mixture), loc="left", fontsize=12, fontweight="bold", parse_math=False
-        )
+        draw_bars(bars, mixture)
+        draw_legend(legend, mixture, scenario)
+        picture.set_title(title, loc="left", fontsize=12, fontweight="bold", parse_math=False)
     if path is not None:
         figure.savefig(path, dpi=110, bbox_inches="tight", pad_inches=0.15)
     return figure
 
 
-def _title(mixture: Mixture) -> str:
+def _title(mixture: Mixture, box: Box) -> str:
+    """What is done, in lines that are no longer than the map; what is in brackets stays whole."""
     best, i = mixture.best, mixture.selected
     if best is None or i is None:
         stop = "" if mixture.action.safe else ", and the stop is NOT CLEAR"
-        return f"{mixture.name}: stops, no hypothesis is safe{stop}"
-    chance = f"P = {mixture.probability_height[i]:.2f} by height"
-    if mixture.has_mass:
-        chance += f", {mixture.probability_mass[i]:.2f} by mass"
-    return f"{mixture.name}: selected {short(best.label, LONGEST)} ({chance})"
+        text = f"{mixture.name}: stops, no hypothesis is safe{stop}"
+    else:
+        chance = f"(P = {mixture.probability_height[i]:.2f} by height"
+        if mixture.has_mass:
+            chance += f", {mixture.probability_mass[i]:.2f} by mass"
+        text = f"{mixture.name}: selected {short(best.label, LONGEST)} "
+        text += f"{chance})".replace(" ", _GLUE)
+    room = max(int(LETTERS[0] * (box[2] - box[0]) / _metres(box)), 30)
+    return textwrap.fill(text, room, break_long_words=False).replace(_GLUE, " ")
 
 
-def _colours(mixture: Mixture) -> list[str]:
-    """Of each component, by its label: the same in every picture of the same hypotheses."""
-    labels = sorted(c.label for c in mixture.components)
-    return [HYPOTHESES[labels.index(c.label) % len(HYPOTHESES)] for c in mixture.components]
+_GLUE = "\N{NO-BREAK SPACE}"
+
+
+def _metres(box: Box) -> float:
+    """Those of an inch of the picture."""
+    return max(box[2] - box[0], box[3] - box[1]) / (MAP_SHARE * WIDTH)
 
 
 def _view(mixture: Mixture, scenario: Scenario) -> Box:
@@ -133,11 +133,11 @@ def _draw_map_panel(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) 
     times = colormaps["cividis"]
     scale = Normalize(0.0, float(mixture.trajectory.times[-1]))
     if scenario.grid is not None:
-        _draw_grid(axes, scenario.grid)
+        draw_grid(axes, scenario.grid)
     _draw_field_of_view(axes, scenario, box)
     for region in scenario.regions:
-        _draw_region(axes, region, box)
-    for component, colour in zip(mixture.components, _colours(mixture), strict=True):
+        draw_region(axes, region, box)
+    for component, colour in zip(mixture.components, colours_of(mixture), strict=True):
         _draw_hypothesis(axes, component, colour)
     _draw_names(axes, mixture, scenario, box)
     tracks = seen(scenario)
@@ -154,48 +154,15 @@ def _draw_map_panel(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) 
         axes.scatter(x, y, c=seconds, cmap=times, norm=scale, s=16, ec=PERSON, lw=0.8, zorder=6)
     _draw_ends(axes, scenario)
     _draw_driven(axes, mixture.trajectory, times, scale)
-    _draw_seconds(axes, mixture.trajectory, seconds, (times, scale))
+    _draw_seconds(axes, mixture.trajectory, seconds, (times, scale), NEAREST * _metres(box))
     axes.set(
         xlim=(box[0], box[2]), ylim=(box[1], box[3]), aspect="equal", xlabel="x [m]", ylabel="y [m]"
     )
 
 
-def _draw_grid(axes: Axes, grid: OccupancyGrid) -> None:
-    rows, cols = grid.data.shape
-    kinds = np.where(grid.data >= OCCUPIED, 2, np.where(grid.data < 0, 1, 0))
-    x, y, yaw = grid.origin.tolist()
-    image = axes.imshow(
-        kinds,
-        cmap=ListedColormap([FREE, UNKNOWN, OBSTACLE]),
-        vmin=0,
-        vmax=2,
-        origin="lower",
-        extent=(0, cols, 0, rows),
-        interpolation="nearest",
-        zorder=0,
-    )
-    place = Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y)
-    image.set_transform(place + axes.transData)
-
-
-def _draw_region(axes: Axes, region: Region, box: Box) -> None:
-    """Its outline and its name."""
-    x, y = np.linspace(box[0], box[2], FINE), np.linspace(box[1], box[3], FINE)
-    distance = region.shape.distance(np.stack(np.meshgrid(x, y), axis=-1))
-    if distance.min() > 0:  # not in the picture
-        return
-    axes.contour(x, y, distance, [0.0], colors=REGION, linestyles="dashed", linewidths=1.0)
-    axes.contourf(x, y, distance, [-np.inf, 0.0], colors=[REGION], alpha=0.08, zorder=0.5)
-    row, column = np.unravel_index(np.argmin(distance), distance.shape)
-    axes.text(
-        float(x[column]), float(y[row]), region.name, fontsize=8, color=REGION, ha="center",
-        va="center", parse_math=False, clip_on=True, zorder=1,
-    )  # fmt: skip
-
-
 def _draw_field_of_view(axes: Axes, scenario: Scenario, box: Box) -> None:
     view = scenario.field_of_view
-    if view is None or (np.isinf(view.range) and view.angle >= 2 * np.pi):
+    if view is None or not is_narrow(view):
         return
     reach = min(view.range, 2 * float(np.hypot(box[2] - box[0], box[3] - box[1])))
     middle, half = np.degrees(heading(scenario)), np.degrees(min(view.angle, 2 * np.pi)) / 2
@@ -216,33 +183,31 @@ def _draw_hypothesis(axes: Axes, component: Component, colour: str) -> None:
 
 
 def _draw_names(axes: Axes, mixture: Mixture, scenario: Scenario, box: Box) -> None:
-    """Label and probability of each hypothesis, where it does not hide another, or a person."""
+    """Label and probability of each hypothesis, where it does not hide another, a person, the
+    robot or the goal."""
     routes = [
-        c.robot.positions[-1:] if c.route is None else _resampled(c.route)
-        for c in mixture.components
+        c.robot.positions if c.route is None else _resampled(c.route) for c in mixture.components
     ]
-    people = np.array([track.positions[-1] for track in scenario.tracks]).reshape(-1, 2)
-    size = np.array([box[2] - box[0], box[3] - box[1]])
-    colours = _colours(mixture)
+    marks = [scenario.robot.position[None], mixture.trajectory.positions]
+    marks += [track.positions[-1:] for track in scenario.tracks]
+    marks += [c.robot.positions[-1:] for c in mixture.components]
+    if scenario.goal is not None:
+        marks.append(scenario.goal[None])
+    corners, colours = np.reshape(box, (2, 2)), colours_of(mixture)
     for i, component in enumerate(mixture.components):
-        route = routes[i]
-        others = [other for j, other in enumerate(routes) if j != i]
-        room = np.minimum(_distance(route, others), ROOM)
-        room += np.minimum(_distance(route, [people, mixture.trajectory.positions]), ROOM)
-        roomy = route[room >= room.max() - 0.1]
-        x, y = roomy[len(roomy) // 2]
-        x, y = np.clip((x, y), box[:2] + 0.06 * size, box[2:] - 0.06 * size)
+        text = f"{short(component.label, LONGEST)}  {mixture.probability_height[i]:.2f}"
+        half = _metres(box) * np.array([len(text) / LETTERS[1] + 0.2, 0.3]) / 2
+        others = [route for j, route in enumerate(routes) if j != i]
+        x, y = place(routes[i], half, np.vstack(marks), others, corners)
+        marks.append(np.array([x, y]) + half * _AROUND)
+        look = {"boxstyle": "round,pad=0.25", "fc": "white", "ec": colours[i], "lw": 1.5}
         axes.text(
-            x,
-            y,
-            f"{short(component.label, LONGEST)}  {mixture.probability_height[i]:.2f}",
-            ha="center",
-            va="center",
-            fontsize=10,
-            zorder=9,
-            parse_math=False,
-            bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": colours[i], "lw": 1.5},
+            x, y, text, ha="center", va="center", fontsize=10, zorder=9, parse_math=False, bbox=look
         )
+
+
+_AROUND = np.stack(np.meshgrid(np.linspace(-1, 1, 9), [-1, 0, 1]), axis=-1).reshape(-1, 2)
+"""Points of a label, for the next ones to keep away from."""
 
 
 def _draw_track(axes: Axes, track: Track, is_seen: bool) -> None:
@@ -310,81 +275,37 @@ def _draw_driven(axes: Axes, driven: Trajectory, times: Colormap, scale: Normali
 
 
 def _draw_seconds(
-    axes: Axes, driven: Trajectory, seconds: Array, colours: tuple[Colormap, Normalize]
+    axes: Axes,
+    driven: Trajectory,
+    seconds: Array,
+    colours: tuple[Colormap, Normalize],
+    nearest: float,
 ) -> None:
-    """A dot each second, and its number where there is room."""
+    """A dot each second, and its number beside it where that is far enough from the last [m]."""
     states = driven.at(seconds)
     times, scale = colours
     x, y = states.T[:2]
     axes.scatter(x, y, c=seconds, cmap=times, norm=scale, s=42, ec="black", lw=1.0, zorder=7)
     last = driven.positions[0]
     for t, state in zip(seconds, states, strict=True):
-        if np.linalg.norm(state[:2] - last) < 0.35:
+        if np.linalg.norm(state[:2] - last) < nearest:
             continue
         last = state[:2]
+        across = np.array([-state[3], state[2]]) / max(np.hypot(*state[2:4]), 1e-9)
+        aside = 15 * across * (1 if across[1] > -0.2 else -1)  # above, or on one side of all
         text = axes.annotate(
             f"{t:g} s",
             (state[0], state[1]),
-            xytext=(0, 8),
+            xytext=(aside[0], aside[1]),
             textcoords="offset points",
             ha="center",
+            va="center",
             fontsize=9,
             fontweight="bold",
             zorder=8,
             clip_on=True,
         )
         text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-
-
-def _draw_bars(axes: Axes, mixture: Mixture) -> None:
-    """P(i) by height and by mass; what is not feasible is named so."""
-    where = np.arange(len(mixture.components), dtype=float)
-    colours = _colours(mixture)
-    bars, said = [(-0.2, mixture.probability_height, "")], "probability by height"
-    if mixture.has_mass:
-        bars.append((0.2, mixture.probability_mass, "////"))
-        said = "probability (plain: height, hatched: mass)"
-    for shift, values, hatch in bars:
-        axes.barh(where + shift, values, 0.36, color=colours, hatch=hatch, ec="black", lw=0.6)
-        for y, value in zip(where + shift, values, strict=True):
-            axes.text(value + 0.02, y, f"{value:.2f}", va="center", fontsize=8)
-    labels = [short(c.label, LONGEST) + "\nrefused" * (not c.feasible) for c in mixture.components]
-    axes.set_yticks(where, labels, parse_math=False)
-    axes.set(xlim=(0, 1.2), xticks=(0, 0.5, 1))
-    axes.set_xlabel(said, fontsize=8)
-    axes.set_ylim(max(len(where), 3) - 0.5, -0.5)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _draw_legend(axes: Axes, mixture: Mixture, scenario: Scenario) -> None:
-    def line(colour: str, style: str | tuple[int, tuple[int, ...]], width: float) -> Line2D:
-        return Line2D([], [], color=colour, ls=style, lw=width)
-
-    def disc(fill: str, edge: str, marker: str = "o", size: float = 9) -> Line2D:
-        return Line2D([], [], ls="", marker=marker, ms=size, mfc=fill, mec=edge)
-
-    entries = {
-        "robot now": disc(ROBOT, "black"),
-        "what will be driven": line("black", "-", 4),
-        "a hypothesis: its plan": line(HYPOTHESES[0], "-", 5),
-    }
-    if any(c.route is not None for c in mixture.components):
-        entries["and its route"] = line(HYPOTHESES[0], (0, (5, 3)), 1.2)
-    if scenario.goal is not None:
-        entries["goal"] = disc(GOAL, "black", "*", 13)
-    if scenario.regions:
-        entries["a region"] = line(REGION, "--", 1.0)
-    unseen = len(scenario.tracks) - len(seen(scenario))
-    if len(scenario.tracks) > unseen:
-        entries["person now"] = disc(PERSON, PERSON)
-        entries["seen so far"] = line(PERSON, ":", 1.5)
-        entries["predicted, with 2σ"] = line(PERSON, (0, (4, 2)), 1.0)
-        if scenario.crowd == "joint":
-            entries["planned with the robot"] = line(PERSON, "-", 1.5)
-    if unseen:
-        entries["person not in view"] = disc("none", "#777777")
-    axes.axis("off")
-    axes.legend(entries.values(), entries.keys(), loc="upper left", fontsize=8, frameon=False)
 
 
 def _seconds(horizon: float) -> Array:
@@ -396,13 +317,6 @@ def _seconds(horizon: float) -> Array:
 def _fine(trajectory: Trajectory) -> Array:
     """Times between the states, for a smooth line."""
     return np.linspace(trajectory.times[0], trajectory.times[-1], 8 * len(trajectory.times))
-
-
-def _distance(points: Array, others: Sequence[Array]) -> Array:
-    """From each point (N, 2) to the nearest of all others, shape (N,); 1 m when there are none."""
-    rest = np.vstack([np.zeros((0, 2)), *others])
-    apart = np.linalg.norm(points[:, None] - rest, axis=-1)
-    return np.asarray(apart.min(axis=1, initial=np.inf) if len(rest) else np.ones(len(points)))
 
 
 def _resampled(path: Array) -> Array:

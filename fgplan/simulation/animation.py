@@ -11,27 +11,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 from PIL import Image
 
+from fgplan.canvas import GOAL, HYPOTHESES, PERSON, ROBOT, Box, draw_grid, draw_region
 from fgplan.errors import FgplanError
-from fgplan.occupancy import OCCUPIED, OccupancyGrid
+from fgplan.occupancy import OccupancyGrid
 from fgplan.simulation.episode import Episode, Moment, run
 from fgplan.simulation.policy import Policy
 from fgplan.simulation.world import World
 
 Array = NDArray[np.float64]
-Box = tuple[float, float, float, float]
-
-# Okabe and Ito's colours: a colour-blind reader can tell them apart.
-ROBOT, PERSON, GOAL = "#0072b2", "#d55e00", "#f0e442"
-HYPOTHESES = ("#56b4e9", "#009e73", "#cc79a7", "#e69f00", "#999999", "#332288", "#882255")
-GROUND = ("#f4f4f4", "#cfcfcf", "#5a5a5a")
-"""Free, unknown, obstacle."""
 
 EVERY = 0.2
 """Between two pictures [s of the run]."""
@@ -138,7 +130,7 @@ def _pictures(shots: Sequence[Shot], episode: Episode, world: World) -> Iterator
     share = (box[3] - box[1]) / (box[2] - box[0])
     height = min(max(0.92 * WIDTH * share, 1.5), 9.0)
     colours = _colours(shots)
-    lanes = 1.8 if colours else 0.0
+    lanes = 2.0 if colours else 0.0
     step = max(1, round(EVERY / world.rules.period))
     shown = sorted({*range(0, len(shots), step), max(len(shots) - 1, 0)}) if shots else []
     grid, after = world.scenario.grid, 0
@@ -170,9 +162,11 @@ def _draw_world(
     """The map with everything on it."""
     world, grid, past = known
     if world.grid is not None:
-        _draw_grid(axes, world.grid, 0.35 if grid is not world.grid else 1.0)
+        draw_grid(axes, world.grid, 0.35 if grid is not world.grid else 1.0)
     if grid is not None and grid is not world.grid:
-        _draw_grid(axes, grid, 0.65)
+        draw_grid(axes, grid, 0.65)
+    for region in world.scenario.regions:
+        draw_region(axes, region, box)
     for region in world.via:
         vertices = np.array([*region.polygon, region.polygon[0]])
         axes.plot(*vertices.T, color=GOAL, lw=1)
@@ -192,22 +186,10 @@ def _draw_world(
     if goal is not None:
         axes.plot(*goal, marker="*", ms=14, mfc=GOAL, mec="black", mew=0.6, zorder=3)
     axes.set(xlim=(box[0], box[2]), ylim=(box[1], box[3]), aspect="equal")
-    axes.tick_params(labelsize=7)
+    _label(axes, "x [m]", "y [m]")
     words = shot.words if len(shot.words) < 100 else f"{shot.words[:97]}..."
     title = f"{world.name}   t = {shot.time:.1f} s\n{words}"
     axes.set_title(title, loc="left", fontsize=8, parse_math=False)
-
-
-def _draw_grid(axes: Axes, grid: OccupancyGrid, alpha: float) -> None:
-    rows, cols = grid.data.shape
-    kinds = np.where(grid.data >= OCCUPIED, 2, np.where(grid.data < 0, 1, 0))
-    x, y, yaw = grid.origin.tolist()
-    image = axes.imshow(
-        kinds, cmap=ListedColormap(GROUND), vmin=0, vmax=2, origin="lower", alpha=alpha,
-        extent=(0, cols, 0, rows), interpolation="nearest", zorder=0,
-    )  # fmt: skip
-    place = Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y)
-    image.set_transform(place + axes.transData)
 
 
 def _draw_probabilities(
@@ -222,10 +204,18 @@ def _draw_probabilities(
             axes.plot(times, values, color=colour, lw=1.5, ls=style, label=label, marker=".", ms=2)
         own = np.array([shot.followed in _routes(label) for shot in shots])
         axes.scatter(times[own], np.full(own.sum(), -0.06), color=colour, s=6, marker="s")
-    axes.set(xlim=(0, max(end, EVERY)), ylim=(-0.12, 1.05), xlabel="t [s]", ylabel="probability")
-    axes.tick_params(labelsize=7)
+    axes.set(xlim=(0, max(end, EVERY)), ylim=(-0.15, 1.05), yticks=(0, 0.5, 1))
+    _label(axes, "time since the start [s]", "probability by height")
+    title = "each hypothesis; the squares below: the one that is followed, bold in the map"
+    axes.set_title(title, loc="left", fontsize=8)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
+
+
+def _label(axes: Axes, x: str, y: str) -> None:
+    axes.set_xlabel(x, fontsize=8)
+    axes.set_ylabel(y, fontsize=8)
+    axes.tick_params(labelsize=7)
 
 
 def _routes(label: str) -> list[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from fgplan.labels import lines, short
+from fgplan.labels import lines, place, short
 
 ROUND = "pharmacy>laboratory>ward_b"
 
@@ -28,3 +29,20 @@ def test_short_says_how_many_more() -> None:
     assert short("A+B", 28) == "A+B"
     assert short(f"{ROUND}+{ROUND} #2+x", 28) == f"{ROUND} +2"
     assert short(f"{ROUND}>{ROUND}", 28) == "pharmacy>laboratory>ward_b>…"
+
+
+LINE = np.column_stack([np.linspace(0.0, 10.0, 60), np.zeros(60)])
+HALF = np.array([1.0, 0.2])
+BOX = np.array([[-1.0, -4.0], [11.0, 4.0]])
+
+
+def test_a_label_is_on_its_line_where_there_is_room() -> None:
+    ends = LINE[[0, -1]]
+    assert place(LINE, HALF, ends, [], BOX) == pytest.approx([5.0, 0.0], abs=0.2)
+
+
+def test_a_label_is_beside_a_line_that_must_be_seen() -> None:
+    x, y = place(LINE, HALF, LINE, [LINE + np.array([0.0, 0.8])], BOX)
+    assert abs(y) >= HALF[1]
+    assert y < 0  # the other line is above
+    assert BOX[0, 0] + HALF[0] <= x <= BOX[1, 0] - HALF[0]

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
+from fgplan.canvas import HYPOTHESES
 from fgplan.inference import MAP
 from fgplan.mixture import Mixture
 from fgplan.occupancy import OccupancyGrid
 from fgplan.planner import plan
-from fgplan.plotting import HYPOTHESES, draw_plan, draw_plans
+from fgplan.plotting import draw_plan, draw_plans
 from fgplan.scenario import FieldOfView, GivenPlan, Robot, Scenario, Track
 
 START, GOAL = np.array([0.0, 0.0]), np.array([8.0, 0.0])
@@ -47,10 +51,8 @@ def mixture(scenario: Scenario) -> Mixture:
     return plan(scenario)
 
 
-def texts(figure: object) -> list[str]:
-    from matplotlib.text import Text
-
-    return [text.get_text() for text in figure.findobj(Text)]  # type: ignore[attr-defined]
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text)]
 
 
 def test_picture_is_saved_with_content(
@@ -73,7 +75,28 @@ def test_picture_says_what_is_selected(mixture: Mixture, scenario: Scenario) -> 
     title = f"{scenario.name}: selected {best.label} (P = {mixture.probability_height[0]:.2f}"
     assert any(text.startswith(title) for text in shown)
     assert {"x [m]", "y [m]", "1 s", "2 s", "3 s", "4 s", "a$b$", "behind"} <= set(shown)
-    assert "person not in view" in shown
+    assert {"person not in view", "field of view"} <= set(shown)
+
+
+def test_a_long_title_stays_above_its_map(scenario: Scenario, tmp_path: Path) -> None:
+    given = (replace(scenario.plans[0], label="pharmacy>laboratory>ward_b"), scenario.plans[1])
+    named = scenario.replace(plans=given, name="a round among people, as it was asked")
+    figure = draw_plan(plan(named), named, tmp_path / "laid_out.png")
+    axes = figure.axes[0]
+    (title,) = (t for t in figure.findobj(Text) if t.get_text().startswith(named.name))
+    assert title.get_window_extent().x1 <= axes.get_window_extent().x1
+    assert "\n(P = " in title.get_text()
+
+
+def test_a_label_hides_neither_the_goal_nor_the_robot(tmp_path: Path) -> None:
+    """Just before the goal there is no room on the route."""
+    near = Scenario(Robot(START, np.array([0.5, 0.0])), goal=np.array([1.2, 0.0]))
+    figure = draw_plan(plan(near), near, tmp_path / "laid_out.png")
+    (label,) = (t for t in figure.findobj(Text) if t.get_text() == "A  1.00")
+    patch = label.get_bbox_patch()
+    assert patch is not None
+    for place in figure.axes[0].transData.transform(np.linspace(START, [1.2, 0.0], 20)):
+        assert not patch.get_window_extent().contains(*place)
 
 
 def test_where_nobody_has_evidence_mass_is_not_shown(scenario: Scenario) -> None:
