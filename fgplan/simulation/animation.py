@@ -149,7 +149,7 @@ def _pictures(shots: Sequence[Shot], episode: Episode, world: World) -> Iterator
             _draw_probabilities(axes[1], shots[: k + 1], colours, float(episode.times[-1]))
         canvas.draw()
         picture = Image.frombuffer("RGBA", canvas.get_width_height(), canvas.buffer_rgba())
-        yield picture.convert("RGB").quantize(128)
+        yield picture.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE)
 
 
 def _draw_world(
@@ -206,7 +206,7 @@ def _draw_probabilities(
         axes.scatter(times[own], np.full(own.sum(), -0.06), color=colour, s=6, marker="s")
     axes.set(xlim=(0, max(end, EVERY)), ylim=(-0.15, 1.05), yticks=(0, 0.5, 1))
     _label(axes, "time since the start [s]", "probability by height")
-    title = "each hypothesis; the squares below: the one that is followed, bold in the map"
+    title = "each hypothesis; squares below: the one that is followed, which is bold in the map"
     axes.set_title(title, loc="left", fontsize=8)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
