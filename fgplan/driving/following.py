@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 from fgplan.crowd import heading
 from fgplan.driving.guard import Guarded, Tier
-from fgplan.driving.memory import Memory
-from fgplan.driving.observation import Decision, Outcome
-from fgplan.driving.settings import Settings
 from fgplan.mixture import Action
 from fgplan.scenario import Robot, Scenario
 from fgplan.trajectory import Trajectory
@@ -19,11 +16,11 @@ from fgplan.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 
-def standing(scenario: Scenario) -> Trajectory:
-    """The fastest stop, then rest."""
-    robot = scenario.robot
+def standing(scenario: Scenario, period: float) -> Trajectory:
+    """The fastest stop, then rest: exact at the end of each period [s], where commands are read."""
+    robot, count = scenario.robot, 1 + int(np.ceil(scenario.density.horizon / period))
     now = robot.model.state(robot, heading(scenario))
-    return robot.model.braking(robot, now, scenario.density.times, 1.0)
+    return robot.model.braking(robot, now, period * np.arange(count + 1, dtype=float), 1.0)
 
 
 def shifted(trajectory: Trajectory, since: float, times: Array) -> Trajectory:
@@ -65,16 +62,3 @@ def action_of(scenario: Scenario, safe: Guarded, reason: str) -> Action:
         safe.tier is not Tier.LATEST_CONTACT,
         reason,
     )
-
-
-def halt(memory: Memory, settings: Settings, outcome: Outcome, reason: str) -> Decision:
-    """The fastest stop, whatever is around: the last resort."""
-    scenario = memory.scenario
-    stop = standing(scenario)
-    times = np.array([0.0, settings.period])
-    soon = stop.resampled(times)
-    twist = scenario.robot.model.twist(soon, 1, heading(scenario))
-    action = Action(
-        "stop", settings.period, soon.positions[1], soon.velocities[1], twist, False, reason
-    )
-    return Decision(scenario.now, action, outcome, reason, stop, label=memory.followed)

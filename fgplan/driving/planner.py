@@ -13,7 +13,7 @@ from fgplan.backend import fastest
 from fgplan.crowd import Belief, seen
 from fgplan.driving.choice import chosen, expected, outcome, taken
 from fgplan.driving.deliberation import Deliberation
-from fgplan.driving.following import action_of, at_start_of, halt, shifted, standing
+from fgplan.driving.following import action_of, shifted
 from fgplan.driving.guard import Guarded, Judge, Tier
 from fgplan.driving.leading_on import leads_on
 from fgplan.driving.memory import Memory
@@ -26,15 +26,13 @@ from fgplan.driving.routing import Routes
 from fgplan.driving.settings import Settings
 from fgplan.driving.situation import reached, sight, updated
 from fgplan.driving.tracking import People, Tracker
+from fgplan.driving.unplanned import Unplanned, judge_of
 from fgplan.errors import NoPlan
 from fgplan.hypothesis import Hypothesis
 from fgplan.mixture import Component
-from fgplan.obeying import closed
 from fgplan.planner import plan
-from fgplan.safety import People as Expected
 from fgplan.scenario import Scenario
 from fgplan.shared_control import Lead, pointed
-from fgplan.trajectory import Trajectory
 from fgplan.validation import validate
 
 Array = NDArray[np.float64]
@@ -76,6 +74,7 @@ class Planner:
         self.sources = tuple(sources)
         d = scenario.density
         self._tracker = Tracker(d.Qc_people, d.sigma_track, d.sigma_speed, settings.tracking)
+        self._unplanned = Unplanned(settings, self._tracker)
         self.memory = Memory(
             scenario.replace(tracks=(), data=()),
             people=self._tracker.recall(seen(scenario), scenario.now),
@@ -93,7 +92,7 @@ class Planner:
             decision, self.memory = self._decide(self.memory, observation, began)
         except Exception as error:  # a robot must stop, whatever is wrong with its planner
             why = f"{type(error).__name__}: {error}"
-            decision = halt(self.memory, self.settings, Outcome.NO_VALID_CONTROL, why)
+            decision, self.memory = self._unplanned.stop(self.memory, observation, why)
         mission = self.memory.scenario.mission
         return replace(decision, seconds=perf_counter() - began, mission=mission)
 
@@ -106,7 +105,7 @@ class Planner:
         )
         if problem is not None:
             memory = replace(memory, jumped="jumped" in problem)
-            return self._carry_on(memory, observation, problem)
+            return self._unplanned.carry_on(memory, observation, problem)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
         scenario = updated(memory.scenario, observation, settings.period)
         known = memory.observation is not None and not memory.jumped
@@ -135,13 +134,13 @@ class Planner:
         repairs += (*unknown, *refused, *doubts)
         if reached(scenario, settings.goal_tolerance):
             what = "goal reached" if mission is None else "mission done"
-            return self._rest(memory, belief, Outcome.GOAL_REACHED, what, repairs)
+            return self._unplanned.rest(memory, belief, Outcome.GOAL_REACHED, what, repairs)
         before = memory.routes
         routes = before.update(scenario, settings.routing, memory.followed)
         memory = replace(memory, routes=routes)
         if routes.trouble is not None:
             outcome = Outcome(routes.trouble.code)
-            return self._rest(memory, belief, outcome, str(routes.trouble), repairs)
+            return self._unplanned.rest(memory, belief, outcome, str(routes.trouble), repairs)
         memory = self._price(memory, belief)
         return self._plan(memory, before, belief, repairs, began)
 
@@ -182,7 +181,7 @@ class Planner:
         settings, scenario = self.settings, memory.scenario
         proposed, memory = self._propose(memory, belief)
         recalled = memory.operated.recalled(proposed, scenario.now, memory.followed)
-        judge = self._judge(scenario, belief)
+        judge = judge_of(scenario, belief, settings)
         left = None
         if settings.deadline is not None:
             kept = LAST_WORD if memory.clear else LAST_WORD + WAY_OUT
@@ -202,7 +201,8 @@ class Planner:
             )
         except NoPlan as error:
             memory = replace(memory, mixture=None)
-            return self._rest(memory, belief, Outcome.NO_VALID_CONTROL, str(error), repairs)
+            ended = Outcome.NO_VALID_CONTROL
+            return self._unplanned.rest(memory, belief, ended, str(error), repairs)
         followed = chosen(mixture, judge)
         safe = self._safe(followed, judge, memory, began)
         known = {way.label for way in memory.routes.ways}
@@ -298,68 +298,3 @@ class Planner:
             components, scores, memory.scenario.now, commitment, settings.deliberation
         )
         return deliberation, deliberation.steadied(components, scores, commitment)
-
-    def _carry_on(
-        self, memory: Memory, observation: Observation, problem: str
-    ) -> tuple[Decision, Memory]:
-        """Without a usable observation: the last safe plan goes on, or the robot stops."""
-        settings, last = self.settings, memory.observation
-        if last is None or memory.trajectory is None:
-            return halt(memory, settings, Outcome.BAD_OBSERVATION, problem), memory
-        # A clock that stands, runs back or is none at all says that one more period is over.
-        since = observation.time - memory.started
-        if not 0 < since < np.inf:
-            since = settings.period
-        ahead = shifted(memory.trajectory, since, memory.scenario.density.times)
-        scenario = memory.scenario.replace(
-            robot=at_start_of(ahead, memory.scenario.robot), now=memory.started + since
-        )
-        belief = self._tracker.predict(memory.people, scenario.now).belief(
-            scenario.density.Qc_people
-        )
-        late = scenario.now - last.time > settings.blind
-        safe = self._guarded(scenario, belief, standing(scenario) if late else ahead)
-        reason = f"{problem}; {'the robot stops' if late else 'the last plan goes on'}"
-        decision = Decision(
-            time=scenario.now,
-            action=action_of(scenario, safe, reason),
-            outcome=Outcome.BAD_OBSERVATION,
-            reason=reason,
-            trajectory=safe.trajectory,
-            label=memory.followed,
-            repairs=(problem,),
-        )
-        driven = safe.trajectory if late or safe.tier > Tier.TOUCHING_NOBODY else ahead
-        return decision, replace(memory, trajectory=driven, started=scenario.now)
-
-    def _rest(
-        self,
-        memory: Memory,
-        belief: Belief,
-        outcome: Outcome,
-        reason: str,
-        repairs: tuple[str, ...],
-    ) -> tuple[Decision, Memory]:
-        """Come to rest, or stay at it, and keep out of the way of nobody's feet."""
-        scenario = memory.scenario
-        safe = self._guarded(scenario, belief, standing(scenario))
-        decision = Decision(
-            time=scenario.now,
-            action=action_of(scenario, safe, reason),
-            outcome=outcome,
-            reason=reason,
-            trajectory=safe.trajectory,
-            label=memory.followed,
-            repairs=repairs,
-        )
-        return decision, replace(memory, trajectory=safe.trajectory, started=scenario.now)
-
-    def _judge(self, scenario: Scenario, belief: Belief) -> Judge:
-        settings = self.settings
-        return Judge(closed(scenario), belief, settings.period, settings.guard, settings.lag)
-
-    def _guarded(self, scenario: Scenario, belief: Belief, wanted: Trajectory) -> Guarded:
-        """A trajectory among people as they are predicted."""
-        times = scenario.density.times
-        predicted = Expected(times, belief.predict(times)[0], belief.radii)
-        return self._judge(scenario, belief).command(wanted, predicted)

@@ -21,7 +21,7 @@ from fgplan import (
     ScenarioError,
     Track,
 )
-from fgplan.driving import Detection, Observation, Outcome, Planner, Settings
+from fgplan.driving import Detection, Observation, Outcome, Planner, Settings, unplanned
 from fgplan.driving import planner as module
 from fgplan.driving.choice import chosen, taken
 from fgplan.driving.guard import Tier
@@ -263,6 +263,45 @@ def test_whatever_breaks_inside_is_a_stop_that_says_so(monkeypatch):
     assert np.linalg.norm(decision.action.velocity) < np.linalg.norm(
         world.decisions[-2].action.velocity
     )
+
+
+def stops(decisions, speed, acceleration=1.5):
+    """Whether commands from a speed on never get faster, and end at rest as soon as they can."""
+    speeds = [speed, *(float(np.linalg.norm(d.action.velocity)) for d in decisions)]
+    assert np.diff(speeds).max() <= 1e-6
+    return max(speeds[1 + int(np.ceil(speed / acceleration / PERIOD)) :]) < 1e-6
+
+
+@pytest.mark.parametrize("sees", [True, False])
+@pytest.mark.parametrize("broken", ["plan", "Judge", "progressed"])
+def test_a_stop_goes_on_until_the_robot_rests_whatever_breaks(monkeypatch, broken, sees):
+    """Also where the guard breaks, and where the robot does not do as it is told."""
+
+    def breaks(*args, **kwargs):
+        raise RuntimeError(broken)
+
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+    before = world.decisions[-1].action
+    for home in (module, unplanned):
+        if hasattr(home, broken):
+            monkeypatch.setattr(home, broken, breaks)
+    decisions = []
+    for _ in range(20):
+        decisions.append(world.planner.step(world.observation()))
+        world.follow(decisions[-1])
+        if not sees:
+            world.velocity = before.velocity
+    assert {d.outcome for d in decisions} == {Outcome.NO_VALID_CONTROL}
+    assert decisions[-1].action.kind == "stop"
+    assert all(is_sound(d) for d in decisions)
+    assert stops(decisions, np.linalg.norm(before.velocity))
+
+
+def test_a_robot_of_which_nothing_usable_was_ever_seen_comes_to_rest():
+    moving = replace(scenario().robot, velocity=np.array([1.0, 0.0]))
+    planner = Planner(scenario().replace(robot=moving), SETTINGS)
+    bad = [Observation(1e9 + PERIOD * k, np.full(2, np.nan)) for k in range(20)]
+    assert stops([planner.step(observation) for observation in bad], 1.0)
 
 
 def test_a_scenario_that_makes_no_sense_is_refused_before_any_step():
