@@ -56,8 +56,9 @@ class Deliberation:
     ) -> Deliberation:
         """With the scores of one more plan.
 
-        Who was not there before begins at 0, or below: it must last, too. Where nothing on the
-        followed route may be driven there is nothing to compare with, and all stays as it was.
+        Who was not there before begins at 0, or below: it must last, too. A route that may not be
+        driven stays as it was; where the followed one may not, there is nothing to compare with,
+        and all do.
 
         Args:
             components: The plan's.
@@ -74,8 +75,9 @@ class Deliberation:
         of = {}
         for name, score in best.items():
             seen = score - here + commitment
-            of[name] = self.of.get(name, min(seen, 0.0))
-            of[name] += share * (seen - of[name]) if np.isfinite(seen) else 0.0
+            if np.isfinite(seen):
+                known = self.of.get(name, min(seen, 0.0))
+                of[name] = known + share * (seen - known)
         return replace(self, of={**self.of, **of}, when=now)
 
     def steadied(self, components: Sequence[Component], scores: Array, commitment: float) -> Array:

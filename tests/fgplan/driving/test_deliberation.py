@@ -68,6 +68,18 @@ def test_the_robot_is_not_committed_to_what_one_sample_said():
     assert known.commitment(COMMITMENT, 2.0, 0.0) == COMMITMENT
 
 
+def test_a_route_that_may_not_be_driven_at_first_is_taken_when_it_may_and_is_better():
+    followed = drive([-np.inf, -np.inf, *[2.0] * 10])
+    assert followed[:3] == ["A"] * 3
+    assert followed[-1] == "B"
+
+
+def test_what_is_not_finite_is_not_averaged():
+    known = Deliberation("A", 0.0, {"B": 0.4}, 0.0)
+    components, scores = plan(A=0.0, B=-np.inf, C=-np.inf)
+    assert known.heard(components, scores, 0.1, COMMITMENT, OVER).of == {"B": 0.4}
+
+
 def test_going_there_and_back_leaves_it_as_it_was():
     known = Deliberation("A", 0.0, {"B": 1.2, "C": -0.5}, 3.0)
     there = known.following("B", 3.0)
