@@ -293,13 +293,8 @@ class Judge:
 
     def _room_after(self, states: Array) -> Array:
         """The room of the stop after each of M ways to drive one period (M, steps + 1, dim)."""
-        robot, (times, steps) = self.scenario.robot, self._looks
-        # A state ends with the velocity, or with (v, ω): its length is the speed or more.
-        speed = float(length(states[:, steps, -2:]).max())
-        braking = speed / robot.max_acceleration
-        braked = times[: min(len(times), 2 + int(np.ceil(braking / times[1])))]
-        still = np.zeros((len(states), len(braked) - 1, 2))
-        stop = robot.model.driven(robot, states[:, steps], still, braked, 0.5)
+        times, steps = self._looks
+        braked, stop = self._stops(states[:, steps])
         path = np.concatenate([states[:, : steps + 1, :2], stop[:, 1:, :2]], axis=1)
         when = np.append(times[: steps + 1], times[steps] + braked[1:])
         people = People(when, self.belief.expected(when), self.belief.radii)
@@ -307,6 +302,21 @@ class Judge:
         shut = (wall < np.minimum(wall[:, :1], 0.0) - 1e-6) & _moving(path)
         room = self._room(_gaps(self.scenario, path, when, people), path, when)
         return np.where(shut.any(axis=1), -np.inf, room)
+
+    def _stops(self, states: Array) -> tuple[Array, Array]:
+        """Stops from M states (M, dim), until all are at rest, however long that takes: times (B,)
+        from now on, and states (M, B, dim)."""
+        robot, dt = self.scenario.robot, self._looks[0][1]
+        # A state ends with the velocity, or with (v, ω): its length is the speed or more.
+        braking = float(length(states[:, -2:]).max()) / robot.max_acceleration
+        count = 2 + int(np.ceil(braking / dt))
+        while True:
+            times = dt * np.arange(count, dtype=float)
+            still = np.zeros((len(states), count - 1, 2))
+            stop = robot.model.driven(robot, states, still, times, 0.5)
+            if not _moving(stop[:, -2:, :2]).any():
+                return times, stop
+            count *= 2  # a car brakes no faster than its wheels straighten
 
     def _room(self, gap: Array, path: Array, times: Array) -> Array:
         """By how many standard deviations people may be nearer than expected before M robots on

@@ -67,6 +67,26 @@ def test_a_wall_in_the_way_is_not_run_into():
     assert grid.clearance(found.trajectory.positions, 0.25).min() >= -1e-6
 
 
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("away", "tier"), [(6.25, Tier.PASSING), (8.0, Tier.CLEAR)])
+def test_a_stop_that_takes_longer_than_the_look_ahead_is_looked_at_to_its_end(away, tier, model):
+    """From 1.2 m/s at 0.1 m/s² the robot needs 7.3 m and 12 s."""
+    wall = [(away + 0.25, -8.0), (9.0, -8.0), (9.0, 8.0), (away + 0.25, 8.0)]
+    grid = OccupancyGrid.from_polygons([wall], (-2, -8, 9, 8), 0.05)
+    robot = Robot(np.zeros(2), np.array([1.2, 0.0]), 0.0, max_acceleration=0.1, model=model)
+    assert guarded(Scenario(robot, grid=grid), belief()).tier is tier
+
+
+def test_a_car_stops_when_its_wheels_are_straight():
+    """Which takes 8 s, where its brakes take less than one."""
+    model = CarLike(max_yaw_acceleration=0.1)
+    robot = Robot(np.zeros(2), np.array([1.0, 0.0]), 0.0, yaw_rate=0.8, model=model)
+    scenario = Scenario(robot)
+    times, stop = Judge(scenario, belief(), PERIOD)._stops(model.state(robot, 0.0)[None])
+    assert times[-1] >= 8.0
+    assert np.abs(stop[0, -1, 3:]).max() < 1e-3
+
+
 def test_where_no_straight_way_is_clear_a_turn_is():
     """A corridor with a bend, and somebody who comes up fast from behind."""
     walls = [
