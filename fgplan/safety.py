@@ -124,12 +124,22 @@ def brake(scenario: Scenario, people: People) -> tuple[Trajectory, Check]:
     return max(checked, key=lambda option: option[1].first_contact)
 
 
+def allowed(gap: Array) -> Array:
+    """The smallest gap that is no contact: 0, and where there is one at first what the gap was
+    then, until it was left. Of gaps (..., S, n) along S times, a shape that broadcasts to that."""
+    start = gap[..., :1, :]
+    if np.all(start >= 0):
+        return np.zeros_like(start)
+    left = np.logical_or.accumulate(gap >= 0, axis=-2)
+    return np.where(left, 0.0, np.minimum(start, 0.0))
+
+
+def contacts(gap: Array) -> NDArray[np.bool_]:
+    """Which gaps are contacts, of (..., S, n) along S times."""
+    return np.asarray(gap < allowed(gap) - TOLERANCE)
+
+
 def _first_contact(t: Array, gap: Array) -> float:
-    """First time at which a gap is negative and smaller than it was at the start, or negative
-    again after it was not; gap (Q, m)."""
-    if gap.shape[1] == 0:
-        return np.inf
-    left = np.logical_or.accumulate(gap >= 0, axis=0)
-    allowed = np.where(left, 0.0, np.minimum(gap[0], 0.0)) - TOLERANCE
-    touching = np.any(gap < allowed, axis=1)
+    """When the first contact happens, gap (Q, m); inf if never."""
+    touching = contacts(gap).any(axis=1)
     return float(t[np.argmax(touching)]) if touching.any() else np.inf

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading
-from fgplan.safety import Check, People, check
+from fgplan.safety import TOLERANCE, Check, People, allowed, check, contacts
 from fgplan.scenario import Scenario
 from fgplan.trajectory import Trajectory, hermite, length
 
@@ -272,9 +272,7 @@ class Judge:
         """What M trajectories (M, S, dim) meet, and whether each can stop after a period."""
         gaps = _gaps(self.scenario, states[..., :2], times, people)
         wall = _walls(self.scenario, states[..., :2])
-        allowed = np.minimum(gaps[:, :1], 0.0) - 1e-6
-        touching = np.any(gaps < allowed, axis=-1) if gaps.shape[-1] else np.zeros(wall.shape, bool)
-        touching |= wall < np.minimum(wall[:, :1], 0.0) - 1e-6
+        touching = contacts(gaps).any(axis=-1) | contacts(wall[..., None])[..., 0]
         contact = np.where(touching.any(axis=1), times[np.argmax(touching, axis=1)], np.inf)
         nearest = gaps.min(axis=(1, 2), initial=np.inf)
         most = self.settings.margin
@@ -299,7 +297,7 @@ class Judge:
         when = np.append(times[: steps + 1], times[steps] + braked[1:])
         people = People(when, self.belief.expected(when), self.belief.radii)
         wall = _walls(self.scenario, path)
-        shut = (wall < np.minimum(wall[:, :1], 0.0) - 1e-6) & _moving(path)
+        shut = contacts(wall[..., None])[..., 0] & _moving(path)
         room = self._room(_gaps(self.scenario, path, when, people), path, when)
         return np.where(shut.any(axis=1), -np.inf, room)
 
@@ -332,8 +330,10 @@ class Judge:
         covariance = self.belief.predict(times)[1]
         variance = covariance[..., 0, 0] - covariance[0, :, 0, 0]
         spread = np.sqrt(np.maximum(variance, 1e-12))
-        free = gap - np.minimum(gap[:, :1], 0.0) + 1e-6
-        nearer = gap < np.minimum(gap[:, :1], self.settings.most) - 1e-6
+        least = allowed(gap)
+        free = gap - least + TOLERANCE
+        asked = np.maximum(np.minimum(gap[:, :1], self.settings.most), least)
+        nearer = gap < asked - TOLERANCE
         room = np.where(nearer, free / spread, np.inf)
         nearest = room.min(axis=-1, initial=np.inf)
         return np.asarray(np.where(_moving(path), nearest, np.inf).min(axis=1))

@@ -20,6 +20,7 @@ from fgplan.mission import Itinerary, Mission
 from fgplan.occupancy import OccupancyGrid
 from fgplan.roadmap import roadmap
 from fgplan.routes import find_routes, label
+from fgplan.safety import allowed
 from fgplan.scenario import Scenario
 from fgplan.timing import path_length
 
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 LOOK_AT = 3
 """Itineraries of a mission looked at for each way asked for: many begin with the same way."""
 
+ROUNDING = 1e-3
+"""A path may come so near to an obstacle [m]: routes lead along corners, on a raster."""
 SPACING = 0.05
 """Between points of a path that are looked at [m]."""
 
@@ -236,10 +239,9 @@ def joined(way: Way, scenario: Scenario, settings: Routing) -> Way | None:
 
 def is_free(grid: OccupancyGrid, path: Array, radius: float) -> bool:
     """Whether the robot's disc stays clear along a polyline (N, 2); where it is too near an
-    obstacle at first, it must not come nearer."""
-    gap = grid.clearance(densified(path), radius)
-    allowed = min(0.0, float(gap[0])) - 1e-3
-    return bool(np.all(gap >= allowed))
+    obstacle at first, it must not come nearer, nor back."""
+    gap = grid.clearance(densified(path), radius)[:, None]
+    return bool(np.all(gap >= allowed(gap) - ROUNDING))
 
 
 def densified(path: Array, spacing: float = SPACING) -> Array:

@@ -13,7 +13,7 @@ from fgplan import CarLike, DifferentialDrive, Holonomic, OccupancyGrid, Robot, 
 from fgplan.crowd import Belief, heading
 from fgplan.driving.following import at_start_of
 from fgplan.driving.guard import Guard, Judge, Tier
-from fgplan.safety import People
+from fgplan.safety import People, check, contacts
 from fgplan.timing import timed
 
 PERIOD = 0.1
@@ -65,6 +65,35 @@ def test_a_wall_in_the_way_is_not_run_into():
     found = guarded(moving(grid=grid), belief())
     assert found.tier is Tier.AVOIDING
     assert grid.clearance(found.trajectory.positions, 0.25).min() >= -1e-6
+
+
+def test_who_has_left_a_contact_is_in_contact_again_for_the_guard_as_for_the_hard_check():
+    """The robot begins 0.1 m within one wall, leaves it, and ends within another one."""
+    walls = [
+        [(-1.0, -1.0), (-0.15, -1.0), (-0.15, 1.0), (-1.0, 1.0)],
+        [(0.7, -1.0), (1.0, -1.0), (1.0, 1.0), (0.7, 1.0)],
+    ]
+    grid = OccupancyGrid.from_polygons(walls, (-1, -1, 1, 1), 0.05)
+    scenario = moving(1.2, grid=grid)
+    robot = scenario.robot
+    stop = robot.model.braking(robot, robot.state, 0.1 * np.arange(49), 1.0)
+    gap = grid.clearance(stop.positions, robot.radius)
+    assert gap[0] < gap[-1] < 0 < gap.max()
+    times = scenario.density.times
+    nobody = People(times, np.zeros((len(times), 0, 4)), np.zeros(0))
+    judge = Judge(scenario, belief(), PERIOD)
+    assert not check(scenario, stop, nobody).feasible
+    assert judge.clear(stop) is None
+    assert judge.command(stop, nobody).tier is not Tier.CLEAR
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=8))
+def test_a_contact_is_what_is_nearer_than_at_first_or_comes_again(gaps):
+    left, expected = False, []
+    for gap in gaps:
+        left |= gap >= 0
+        expected.append(gap < (0.0 if left else min(gaps[0], 0.0)) - 1e-6)
+    assert contacts(np.array(gaps)[:, None])[:, 0].tolist() == expected
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -72,6 +72,12 @@ def test_no_route_is_said_by_its_name():
     assert routes.trouble.code == "GOAL_OCCUPIED"
 
 
+def test_a_path_may_lead_out_of_a_wall_and_not_into_one():
+    out = np.array([[3.8, 0.0], [2.0, 0.0]])
+    assert is_free(GRID, out, 0.25)
+    assert not is_free(GRID, np.vstack([out, [3.78, 0.0]]), 0.25)
+
+
 def test_a_given_plan_keeps_its_name_and_weight_and_is_not_driven_back():
     plan = GivenPlan("left", np.array([[0.0, 0.0], [2.0, 2.0], [8.0, 2.0]]), 0.25)
     robot = Robot(np.array([4.0, 1.8]))
