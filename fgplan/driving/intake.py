@@ -3,10 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from fgplan.driving.observation import Detection, Observation
+
+
+@dataclass(frozen=True, eq=False)
+class Refused:
+    """An observation that was not believed.
+
+    Args:
+        kind: What is wrong: the robot's "state", which cannot be used, or that it jumped or that
+            the clock did not go on; those may be a new place ("jump") or a new "clock".
+        text: The same in words.
+        observation: What came.
+        agreed: How many in a row, this one the last, were refused for a clock that went on from
+            one to the next.
+    """
+
+    kind: Literal["state", "jump", "clock"]
+    text: str
+    observation: Observation
+    agreed: int = 0
 
 
 @dataclass(frozen=True)
@@ -17,41 +37,49 @@ class Intake:
         jump: A robot may be this far from where it can have driven [m]: more is a fault of the
             localisation, or, when it stays there, a new place.
         slack: How much faster than its limit a robot may seem to be, as a factor.
+        clock: After so many observations in a row that are older than the last one that was used,
+            and go on from one to the next, the clock was set anew; fewer are late ones.
     """
 
     jump: float = 0.5
     slack: float = 1.5
+    clock: int = 3
 
-    def problem(
-        self, new: Observation, last: Observation | None, max_speed: float, distrusted: bool
-    ) -> str | None:
+    def refused(
+        self, new: Observation, last: Observation | None, before: Refused | None, max_speed: float
+    ) -> Refused | None:
         """Why an observation cannot be used at all; None where it can.
 
         Args:
             new: What came now.
             last: The last one that was used.
+            before: The one before, if it was refused.
             max_speed: Of the robot [m/s].
-            distrusted: Whether the one before was refused for a jump, too: then it stays there.
         """
-        state = [*np.ravel(new.position), *np.ravel(new.velocity), new.time, new.yaw_rate]
-        if new.heading is not None:
-            state.append(new.heading)
-        if len(np.ravel(new.position)) != 2 or len(np.ravel(new.velocity)) != 2:
-            return f"position {new.position!r} and velocity {new.velocity!r} need two numbers each"
-        if not np.all(np.isfinite(state)):
-            return f"the robot's state is not finite: {np.round(state, 3).tolist()}"
-        if new.covariance is not None and not np.all(np.isfinite(new.covariance)):
-            return "the robot's covariance is not finite"
+        if (text := _impossible(new)) is not None:
+            return Refused("state", text, new)
         if last is None:
             return None
         if new.time <= last.time:
             repeated = "repeated" if new.time == last.time else "older than the last one"
-            return f"the observation of {new.time:.3f} s is {repeated} ({last.time:.3f} s)"
-        moved = float(np.hypot(*(new.position - last.position)))
-        possible = self.slack * max_speed * (new.time - last.time) + self.jump
-        if moved > possible and not distrusted:
-            return f"the robot jumped by {moved:.2f} m in {new.time - last.time:.2f} s"
-        return None
+            text = f"the observation of {new.time:.3f} s is {repeated} ({last.time:.3f} s)"
+            goes_on = before is not None and new.time > before.observation.time
+            return Refused("clock", text, new, 1 + (before.agreed if before and goes_on else 0))
+        known = [last] if before is None or before.kind != "jump" else [last, before.observation]
+        if any(self._in_reach(new, old, max_speed) for old in known):
+            return None
+        moved = float(np.hypot(*np.subtract(new.position, last.position)))
+        text = f"the robot jumped by {moved:.2f} m in {new.time - last.time:.2f} s"
+        return Refused("jump", text, new)
+
+    def _in_reach(self, new: Observation, old: Observation, max_speed: float) -> bool:
+        """Whether the robot can have driven from the old place to the new one."""
+        moved = float(np.hypot(*np.subtract(new.position, old.position)))
+        return moved <= self.slack * max_speed * (new.time - old.time) + self.jump
+
+    def on_new_clock(self, refused: Refused) -> bool:
+        """Whether what was refused shows that the clock was set anew."""
+        return refused.kind == "clock" and refused.agreed >= self.clock
 
     def repaired(self, new: Observation, max_speed: float) -> tuple[Observation, tuple[str, ...]]:
         """The observation without what is impossible in it, and what that was."""
@@ -69,6 +97,20 @@ class Intake:
                 notes.append(f"{len(new.detections) - len(good)} impossible detection(s) left out")
                 new = replace(new, detections=good)
         return new, tuple(notes)
+
+
+def _impossible(new: Observation) -> str | None:
+    """What is wrong with the robot's state, in words; None where nothing is."""
+    state = [*np.ravel(new.position), *np.ravel(new.velocity), new.time, new.yaw_rate]
+    if new.heading is not None:
+        state.append(new.heading)
+    if len(np.ravel(new.position)) != 2 or len(np.ravel(new.velocity)) != 2:
+        return f"position {new.position!r} and velocity {new.velocity!r} need two numbers each"
+    if not np.all(np.isfinite(state)):
+        return f"the robot's state is not finite: {np.round(state, 3).tolist()}"
+    if new.covariance is not None and not np.all(np.isfinite(new.covariance)):
+        return "the robot's covariance is not finite"
+    return None
 
 
 def _possible(d: Detection) -> bool:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fgplan.driving.deliberation import Deliberation
+from fgplan.driving.intake import Refused
 from fgplan.driving.observation import Observation
 from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import Blockage
@@ -34,7 +35,7 @@ class Memory:
         followed: Name of the hypothesis that is followed.
         deliberation: How much better others have looked of late.
         operated: What the operator said.
-        jumped: Whether the last observation was refused because the robot jumped.
+        refused: The last observation, if it was not believed.
         nearest: Shortest way to the goal so far [m], and when it was reached [s].
     """
 
@@ -50,8 +51,23 @@ class Memory:
     followed: str | None = None
     deliberation: Deliberation = Deliberation()  # noqa: RUF009 - frozen
     operated: Operated = field(default_factory=Operated)
-    jumped: bool = False
+    refused: Refused | None = None
     nearest: tuple[float, float] = (np.inf, -np.inf)
+
+    @property
+    def jumped(self) -> bool:
+        """Whether the last observation was not believed because the robot jumped."""
+        return self.refused is not None and self.refused.kind == "jump"
+
+    def on_new_clock(self) -> Memory:
+        """What has no time on the old one: people and what is driven begin anew."""
+        return Memory(
+            self.scenario,
+            routes=replace(self.routes, searched=-np.inf),
+            followed=self.followed,
+            deliberation=Deliberation(self.followed),
+            operated=self.operated.on_new_clock(),
+        )
 
     def progress(self) -> tuple[float, float]:
         """`nearest`, from where the robot is now."""

@@ -73,6 +73,12 @@ class Operated:
     best: tuple[str, float] | None = None
     late: float = LATE
 
+    def on_new_clock(self) -> Operated:
+        """What was said of places without a time."""
+        data = tuple(m for m in self.data if all(r.time is None for r in m.readings))
+        past = Recollection(patience=self.past.patience)
+        return Operated(data, self.waiting, past, self.met, late=self.late)
+
     def hear(
         self, said: Iterable[Measurement], scenario: Scenario
     ) -> tuple[Operated, tuple[str, ...]]:

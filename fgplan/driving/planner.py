@@ -100,12 +100,14 @@ class Planner:
         self, memory: Memory, observation: Observation, began: float
     ) -> tuple[Decision, Memory]:
         settings, robot = self.settings, memory.scenario.robot
-        problem = settings.intake.problem(
-            observation, memory.observation, robot.max_speed, memory.jumped
+        refused = settings.intake.refused(
+            observation, memory.observation, memory.refused, robot.max_speed
         )
-        if problem is not None:
-            memory = replace(memory, jumped="jumped" in problem)
-            return self._unplanned.carry_on(memory, observation, problem)
+        if refused is not None and settings.intake.on_new_clock(refused):
+            memory, refused = memory.on_new_clock(), None
+        if refused is not None:
+            memory = replace(memory, refused=refused)
+            return self._unplanned.carry_on(memory, observation, refused.text)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
         scenario = updated(memory.scenario, observation, settings.period)
         known = memory.observation is not None and not memory.jumped
@@ -116,7 +118,7 @@ class Planner:
         scenario = scenario.replace(mission=mission)
         operated, doubts = memory.operated.hear(observation.operator, scenario)
         scenario = scenario.replace(data=operated.data)
-        people, refused = self._look(memory, scenario, observation)
+        people, doubted = self._look(memory, scenario, observation)
         belief = people.belief(scenario.density.Qc_people)
         memory = replace(
             memory,
@@ -125,13 +127,13 @@ class Planner:
             people=people,
             operated=operated,
             mixture=None if memory.jumped else memory.mixture,
-            jumped=False,
+            refused=None,
             nearest=(np.inf, -np.inf) if further else memory.nearest,
             deliberation=Deliberation(memory.followed, scenario.now)
             if further
             else memory.deliberation,
         )
-        repairs += (*unknown, *refused, *doubts)
+        repairs += (*unknown, *doubted, *doubts)
         if reached(scenario, settings.goal_tolerance):
             what = "goal reached" if mission is None else "mission done"
             return self._unplanned.rest(memory, belief, Outcome.GOAL_REACHED, what, repairs)

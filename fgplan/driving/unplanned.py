@@ -92,7 +92,7 @@ class Unplanned:
         """Where the robot is seen to be, if it can be. Who is slow to obey is told to be slower
         still: it is as fast as it was told to be, unless it is seen to be slower."""
         robot = scenario.robot
-        if self.settings.intake.problem(observation, None, robot.max_speed, False) is not None:
+        if self.settings.intake.refused(observation, None, None, robot.max_speed) is not None:
             return scenario
         velocity = np.asarray(observation.velocity, dtype=float)
         if memory.trajectory is not None:

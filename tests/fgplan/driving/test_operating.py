@@ -57,6 +57,13 @@ def planner(sources=(), **changes):
     return Planner(Scenario(robot, crowd="predicted", **fields), SETTINGS, sources)
 
 
+def test_on_a_new_clock_what_was_said_of_a_time_is_over_and_a_place_is_not():
+    place, timed = (Waypoint(np.array([5.0, 2.0]), 0.1 * np.eye(2), time) for time in (None, 9.0))
+    operated = Operated((place, timed)).on_new_clock()
+    assert operated.data == (place,)
+    assert operated.past.until == -np.inf
+
+
 def stick(degrees, t, sigma=0.2, speed=0.9):
     a = np.deg2rad(degrees)
     return Joystick(t, speed * np.array([np.cos(a), np.sin(a)]), sigma**2 * np.eye(2))

@@ -218,6 +218,46 @@ def test_a_robot_that_stays_where_it_jumped_is_believed():
     assert abs(decision.trajectory.positions[0, 1] - 2.5) < 0.3
 
 
+def test_a_robot_that_jumps_to_and_fro_is_not_believed():
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+    here = world.position
+    for away in ([0.0, 2.5], [0.0, -2.5], [0.0, 2.5]):
+        world.position = here + away
+        decision = world.step()
+        assert decision.outcome is Outcome.BAD_OBSERVATION
+        assert "jumped" in decision.reason
+    world.position = decision.action.position
+    assert world.step().outcome is not Outcome.BAD_OBSERVATION
+
+
+@pytest.mark.parametrize("ahead", [-100.0, -1e9, 1e6])
+def test_a_clock_that_is_set_anew_is_believed_after_a_few_steps(ahead):
+    """Set back, or one stamp far in the future, after which the true ones seem to be old."""
+    world = World(Planner(scenario(), SETTINGS), [5.0, 2.0, -0.3, 0.0]).run(5)
+    if ahead > 0:
+        bad = replace(world.observation(), time=world.time + ahead)
+        world.follow(world.planner.step(bad))
+    else:
+        world.time += ahead
+    ended = [world.step().outcome for _ in range(6)]
+    assert ended[:2] == [Outcome.BAD_OBSERVATION] * 2
+    assert Outcome.BAD_OBSERVATION not in ended[2:]
+    memory = world.planner.memory
+    assert memory.started == memory.observation.time == pytest.approx(world.time - PERIOD)
+    assert memory.people.names == ("p0",)
+    np.testing.assert_allclose(memory.people.mean[0, 2:], [-0.3, 0.0], atol=0.1)
+    assert np.linalg.norm(world.velocity) > 0.5
+
+
+@pytest.mark.parametrize("stamps", [[0.5, 0.6], [0.8] * 5, [0.7, 0.6, 0.5, 0.4]])
+def test_what_comes_late_or_again_is_no_new_clock(stamps):
+    world = World(Planner(scenario(), SETTINGS)).run(5)
+    for stamp in stamps:
+        bad = replace(world.observation(), time=stamp)
+        assert world.planner.step(bad).outcome is Outcome.BAD_OBSERVATION
+    assert world.step().outcome is Outcome.FOLLOWING
+
+
 def test_impossible_detections_are_left_out_and_named():
     world = World(Planner(scenario(), SETTINGS)).run(2)
     bad = (Detection(np.array([np.nan, 1.0])), Detection(np.array([1.0, np.inf]), "x"))
