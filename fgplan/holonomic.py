@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from factors.gp_prior import isotropic_prior, transition
 from factors.kinematics import AccelerationLimit, SpeedLimit
 from factors.residual import Residual
-from fgplan.robots import LIMIT_SHARE, PACES, Bound, Piece, Twist
+from fgplan.robots import FIXED, LIMIT_SHARE, PACES, Bound, Piece, Twist
 from fgplan.trajectory import Trajectory, length
 
 if TYPE_CHECKING:
@@ -41,6 +41,9 @@ class Holonomic:
 
     def state(self, robot: Robot, heading: float) -> Array:
         return robot.state
+
+    def of_any_speed(self, robot: Robot) -> Array:
+        return np.diag([FIXED, FIXED, robot.max_speed**2, robot.max_speed**2])
 
     def prior(self, density: Density) -> Iterable[Piece]:
         prior = isotropic_prior(density.dt, density.Qc_robot, 2)

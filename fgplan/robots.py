@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 LIMIT_SHARE = 0.95
 """Share of a limit at which its hinge begins: an optimum leans on a hinge, the check does not."""
+FIXED = 1e-6
+"""Variance of what is known of a state [m², ...]."""
 PACES = 4
 """Speeds that are tried, when a plan must not be driven."""
 
@@ -103,6 +105,11 @@ class RobotModel(Protocol):
 
     def state(self, robot: Robot, heading: float) -> Array:
         """The state now, shape (dim,), of a robot that looks to `heading` [rad]."""
+        ...
+
+    def of_any_speed(self, robot: Robot) -> Array:
+        """Covariance (dim, dim) of a state of which all is known but the speed, which may be any
+        that the robot can have."""
         ...
 
     def prior(self, density: Density) -> Iterable[Piece]:

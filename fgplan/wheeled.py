@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from factors.kinematics import CurvatureLimit, LinearLimit, RestBetweenDirections
 from factors.residual import Residual
 from factors.unicycle import InPlane, UnicycleMotion, advance, planar, slip, unicycle_prior
-from fgplan.robots import LIMIT_SHARE, PACES, Bound, Piece, Twist
+from fgplan.robots import FIXED, LIMIT_SHARE, PACES, Bound, Piece, Twist
 from fgplan.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -70,6 +70,9 @@ class _Wheeled(ABC):
         """Of the robot's velocity only the part along its heading counts."""
         v = robot.velocity[0] * np.cos(heading) + robot.velocity[1] * np.sin(heading)
         return np.concatenate([robot.position, [heading, v, robot.yaw_rate]])
+
+    def of_any_speed(self, robot: Robot) -> Array:
+        return np.diag([FIXED, FIXED, FIXED, robot.max_speed**2, FIXED])
 
     def prior(self, density: Density) -> Iterable[Piece]:
         accelerations = unicycle_prior(density.dt, density.Qc_robot, self._yaw[2], HEADING_DEFECT)

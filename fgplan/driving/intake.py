@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from factors.residual import whitener
 from fgplan.driving.observation import Detection, Observation
+from fgplan.scenario import Robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,12 @@ class Refused:
     observation: Observation
     agreed: int = 0
 
+    @property
+    def time(self) -> float:
+        """Of the observation [s]; NaN where it says none."""
+        time = self.observation.time
+        return float(time) if _is_finite(time, ()) else np.nan
+
 
 @dataclass(frozen=True)
 class Intake:
@@ -46,7 +54,7 @@ class Intake:
     clock: int = 3
 
     def refused(
-        self, new: Observation, last: Observation | None, before: Refused | None, max_speed: float
+        self, new: Observation, last: Observation | None, before: Refused | None, robot: Robot
     ) -> Refused | None:
         """Why an observation cannot be used at all; None where it can.
 
@@ -54,19 +62,19 @@ class Intake:
             new: What came now.
             last: The last one that was used.
             before: The one before, if it was refused.
-            max_speed: Of the robot [m/s].
+            robot: Its limits and its model.
         """
-        if (text := _impossible(new)) is not None:
+        if (text := _impossible(new, robot.model.dim)) is not None:
             return Refused("state", text, new)
         if last is None:
             return None
         if new.time <= last.time:
             repeated = "repeated" if new.time == last.time else "older than the last one"
             text = f"the observation of {new.time:.3f} s is {repeated} ({last.time:.3f} s)"
-            goes_on = before is not None and new.time > before.observation.time
+            goes_on = before is not None and new.time > before.time
             return Refused("clock", text, new, 1 + (before.agreed if before and goes_on else 0))
         known = [last] if before is None or before.kind != "jump" else [last, before.observation]
-        if any(self._in_reach(new, old, max_speed) for old in known):
+        if any(self._in_reach(new, old, robot.max_speed) for old in known):
             return None
         moved = float(np.hypot(*np.subtract(new.position, last.position)))
         text = f"the robot jumped by {moved:.2f} m in {new.time - last.time:.2f} s"
@@ -87,9 +95,9 @@ class Intake:
         speed = float(np.hypot(*new.velocity))
         if speed > self.slack * max_speed:
             notes.append(f"speed {speed:.2f} m/s is impossible; {max_speed:.2f} m/s taken")
-            new = replace(new, velocity=new.velocity * (max_speed / speed))
-        if new.goal is not None and not np.all(np.isfinite(new.goal)):
-            notes.append(f"goal {np.asarray(new.goal).tolist()} is not finite; the old one is kept")
+            new = replace(new, velocity=np.multiply(new.velocity, max_speed / speed))
+        if new.goal is not None and not _is_finite(new.goal, (2,)):
+            notes.append(f"goal {new.goal!r} is not two finite numbers; the old one is kept")
             new = replace(new, goal=None)
         if new.detections is not None:
             good = tuple(d for d in new.detections if _possible(d))
@@ -99,20 +107,48 @@ class Intake:
         return new, tuple(notes)
 
 
-def _impossible(new: Observation) -> str | None:
-    """What is wrong with the robot's state, in words; None where nothing is."""
-    state = [*np.ravel(new.position), *np.ravel(new.velocity), new.time, new.yaw_rate]
-    if new.heading is not None:
-        state.append(new.heading)
-    if len(np.ravel(new.position)) != 2 or len(np.ravel(new.velocity)) != 2:
+def _impossible(new: Observation, size: int) -> str | None:
+    """What is wrong with the robot's state, in words; None where nothing is.
+
+    Args:
+        new: What came.
+        size: Of the state of the robot's model.
+    """
+    if _shape(new.position) != (2,) or _shape(new.velocity) != (2,):
         return f"position {new.position!r} and velocity {new.velocity!r} need two numbers each"
+    numbers = {"time": new.time, "yaw rate": new.yaw_rate}
+    if new.heading is not None:
+        numbers["heading"] = new.heading
+    for name, value in numbers.items():
+        if _shape(value) != ():
+            return f"{name} {value!r} must be a number"
+    state = np.array([*new.position, *new.velocity, *numbers.values()], dtype=float)
     if not np.all(np.isfinite(state)):
         return f"the robot's state is not finite: {np.round(state, 3).tolist()}"
-    if new.covariance is not None and not np.all(np.isfinite(new.covariance)):
-        return "the robot's covariance is not finite"
+    if new.covariance is None:
+        return None
+    what, shape = "the robot's covariance", _shape(new.covariance)
+    if shape != (size, size):
+        return f"{what} has shape {shape}, its model needs {(size, size)}"
+    try:
+        whitener(new.covariance, what)
+    except ValueError as error:
+        return str(error)
     return None
 
 
 def _possible(d: Detection) -> bool:
-    numbers = [*np.ravel(d.position), d.radius, *([] if d.velocity is None else d.velocity)]
-    return len(np.ravel(d.position)) == 2 and bool(np.all(np.isfinite(numbers))) and d.radius >= 0
+    known = _is_finite(d.position, (2,)) and _is_finite(d.radius, ()) and d.radius >= 0
+    return known and (d.velocity is None or _is_finite(d.velocity, (2,)))
+
+
+def _is_finite(value: Any, shape: tuple[int, ...]) -> bool:
+    return _shape(value) == shape and bool(np.all(np.isfinite(np.asarray(value, dtype=float))))
+
+
+def _shape(value: Any) -> tuple[int, ...] | None:
+    """Of something that may be numbers; None where it is none."""
+    try:
+        return np.asarray(value, dtype=float).shape
+    except (TypeError, ValueError):
+        return None

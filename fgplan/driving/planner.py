@@ -100,14 +100,12 @@ class Planner:
         self, memory: Memory, observation: Observation, began: float
     ) -> tuple[Decision, Memory]:
         settings, robot = self.settings, memory.scenario.robot
-        refused = settings.intake.refused(
-            observation, memory.observation, memory.refused, robot.max_speed
-        )
+        refused = settings.intake.refused(observation, memory.observation, memory.refused, robot)
         if refused is not None and settings.intake.on_new_clock(refused):
             memory, refused = memory.on_new_clock(), None
         if refused is not None:
             memory = replace(memory, refused=refused)
-            return self._unplanned.carry_on(memory, observation, refused.text)
+            return self._unplanned.carry_on(memory, refused)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
         scenario = updated(memory.scenario, observation, settings.period)
         known = memory.observation is not None and not memory.jumped

@@ -15,16 +15,13 @@ from fgplan.scenario import Robot, Scenario
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FIXED = 1e-6
-"""Variance of a position that is known [m²]."""
-
 
 def updated(scenario: Scenario, observation: Observation, period: float) -> Scenario:
     """What is known, with what an observation changes of it."""
     covariance, most = observation.covariance, scenario.robot.max_speed
     if covariance is None and scenario.robot.max_acceleration * period >= 2 * most:
         # Every velocity is reached within a period: a plan begins with the one it likes.
-        covariance = np.diag([FIXED, FIXED, most**2, most**2])
+        covariance = scenario.robot.model.of_any_speed(scenario.robot)
     robot: Robot = replace(
         scenario.robot,
         position=np.asarray(observation.position, dtype=float),

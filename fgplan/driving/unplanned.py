@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fgplan.crowd import Belief
 from fgplan.driving.following import action_of, at_start_of, shifted, standing
 from fgplan.driving.guard import Guarded, Judge, Tier
+from fgplan.driving.intake import Refused
 from fgplan.driving.memory import Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.settings import Settings
@@ -53,24 +54,23 @@ class Unplanned:
         safe = self._guarded(scenario, belief, standing(scenario, self.settings.period))
         return _done(memory, scenario, safe, outcome, reason, repairs)
 
-    def carry_on(
-        self, memory: Memory, observation: Observation, problem: str
-    ) -> tuple[Decision, Memory]:
+    def carry_on(self, memory: Memory, refused: Refused) -> tuple[Decision, Memory]:
         """Without a usable observation: the last plan goes on, for a while, or the robot stops."""
         # A clock that stands, runs back or is none at all says that one more period is over.
-        since = observation.time - memory.started
+        since = refused.time - memory.started
         if not 0 < since < np.inf:
             since = self.settings.period
         scenario, ahead = _driven(memory, since)
-        if ahead is None and np.isfinite(observation.time):
-            scenario = scenario.replace(now=float(observation.time))
+        if ahead is None and np.isfinite(refused.time):
+            scenario = scenario.replace(now=refused.time)
         last = memory.observation
         if last is None or scenario.now - last.time > self.settings.blind:
             ahead = None
         wanted = ahead or standing(scenario, self.settings.period)
         safe = self._guarded(scenario, self._people(memory, scenario), wanted)
-        reason = f"{problem}; {'the last plan goes on' if ahead else 'the robot stops'}"
-        decision, after = _done(memory, scenario, safe, Outcome.BAD_OBSERVATION, reason, (problem,))
+        reason = f"{refused.text}; {'the last plan goes on' if ahead else 'the robot stops'}"
+        ended, named = Outcome.BAD_OBSERVATION, (refused.text,)
+        decision, after = _done(memory, scenario, safe, ended, reason, named)
         goes_on = ahead is not None and safe.tier <= Tier.TOUCHING_NOBODY
         return decision, replace(after, trajectory=ahead) if goes_on else after
 
@@ -92,7 +92,7 @@ class Unplanned:
         """Where the robot is seen to be, if it can be. Who is slow to obey is told to be slower
         still: it is as fast as it was told to be, unless it is seen to be slower."""
         robot = scenario.robot
-        if self.settings.intake.refused(observation, None, None, robot.max_speed) is not None:
+        if self.settings.intake.refused(observation, None, None, robot) is not None:
             return scenario
         velocity = np.asarray(observation.velocity, dtype=float)
         if memory.trajectory is not None:

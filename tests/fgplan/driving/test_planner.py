@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fgplan import (
+    CarLike,
     Density,
     DifferentialDrive,
     FieldOfView,
@@ -128,6 +129,15 @@ def test_a_robot_with_wheels_is_driven_by_its_twist():
     assert all(d.action.twist.linear_y == 0 for d in world.decisions)
 
 
+@pytest.mark.parametrize("model", [DifferentialDrive(), CarLike()])
+def test_a_robot_with_wheels_that_is_as_fast_as_it_likes_drives(model):
+    robot = Robot(np.zeros(2), heading=0.0, max_acceleration=20.0, model=model)
+    world = World(Planner(scenario().replace(robot=robot), SETTINGS))
+    world.heading = 0.0
+    assert {world.step().outcome for _ in range(4)} == {Outcome.FOLLOWING}
+    assert world.position[0] > 0.5
+
+
 def test_who_is_out_of_range_changes_no_bit_and_who_is_within_does():
     """Statement 16, in closed loop."""
 
@@ -177,6 +187,16 @@ def test_the_same_observations_give_the_same_bits():
         ({"time": 0.8}, "repeated"),
         ({"time": np.nan}, "not finite"),
         ({"position": np.array([3.0, 3.0])}, "jumped"),
+        ({"position": np.zeros(3)}, "need two numbers"),
+        ({"position": np.zeros((1, 2))}, "need two numbers"),
+        ({"position": "here"}, "need two numbers"),
+        ({"velocity": 0.5}, "need two numbers"),
+        ({"heading": np.zeros(2)}, "heading"),
+        ({"time": None}, "not finite"),
+        ({"time": "now"}, "time 'now' must be a number"),
+        ({"covariance": np.eye(3)}, "(3, 3), its model needs (4, 4)"),
+        ({"covariance": np.diag([1.0, 1.0, 1.0, np.nan])}, "not finite"),
+        ({"covariance": -np.eye(4)}, "positive definite"),
     ],
 )
 def test_an_impossible_observation_is_refused_by_name_and_the_plan_goes_on(changes, words):
@@ -260,9 +280,28 @@ def test_what_comes_late_or_again_is_no_new_clock(stamps):
 
 def test_impossible_detections_are_left_out_and_named():
     world = World(Planner(scenario(), SETTINGS)).run(2)
-    bad = (Detection(np.array([np.nan, 1.0])), Detection(np.array([1.0, np.inf]), "x"))
+    here = np.array([3.0, 2.0])
+    bad = (
+        Detection(np.array([np.nan, 1.0])),
+        Detection(np.array([1.0, np.inf]), "x"),
+        Detection(np.array([3.0, 2.0, 0.0])),
+        Detection(here[None]),
+        Detection(None),
+        Detection(here, velocity=np.zeros(3)),
+        Detection(here, velocity=np.array([np.nan, 0.0])),
+        Detection(here, radius=-0.3),
+        Detection(here, radius=np.full(2, 0.3)),
+    )
     decision = world.step(detections=bad)
-    assert decision.repairs == ("2 impossible detection(s) left out",)
+    assert decision.repairs == ("9 impossible detection(s) left out",)
+    assert decision.outcome is Outcome.FOLLOWING
+
+
+@pytest.mark.parametrize("goal", [np.zeros(3), np.array([np.nan, 0.0]), "home", 4.0])
+def test_an_impossible_goal_is_not_taken_and_named(goal):
+    world = World(Planner(scenario(), SETTINGS)).run(2)
+    decision = world.step(goal=goal)
+    assert "the old one is kept" in decision.repairs[0]
     assert decision.outcome is Outcome.FOLLOWING
 
 
