@@ -14,7 +14,7 @@ Reference:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -92,6 +92,11 @@ class Deliberation:
             if name in self.of and np.isfinite(best[name]):
                 shift[k] = self.of[name] - commitment - (best[name] - here)
         return scores + shift
+
+    def branched(self, names: Collection[str]) -> Deliberation:
+        """Where these names mean something new from now on."""
+        of = {name: value for name, value in self.of.items() if name not in names}
+        return replace(self, of=of)
 
     def following(self, name: str, now: float) -> Deliberation:
         """What it comes to when this route is followed from now on."""

@@ -137,7 +137,8 @@ class Planner:
             return self._unplanned.rest(memory, belief, Outcome.GOAL_REACHED, what, repairs)
         before = memory.routes
         routes = before.update(scenario, settings.routing, memory.followed)
-        memory = replace(memory, routes=routes)
+        new = {way.label for way in routes.ways if way.born == scenario.now}
+        memory = replace(memory, routes=routes, deliberation=memory.deliberation.branched(new))
         if routes.trouble is not None:
             outcome = Outcome(routes.trouble.code)
             return self._unplanned.rest(memory, belief, outcome, str(routes.trouble), repairs)

@@ -2,11 +2,13 @@
 
 A search for routes costs tens of milliseconds, so it is made once a second, and when the map or
 the goal changes. In between, every route is joined to where the robot is. A route that is found
-again is known by its winding about the obstacles and keeps its name.
+again is known by its winding about the obstacles and keeps its name; the name of one that is lost
+is given to another one after the next search at the earliest, and not while it is followed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import count as counter
 from typing import Any
@@ -133,7 +135,8 @@ class Routes:
             found = _search(scenario)
         except NoRoute as error:
             found, trouble = [], error
-        ways = _named(scenario, settings, found, known, lost, keep) if found else known
+        used = set() if elsewhere else {keep, *(way.label for way in self.ways)}
+        ways = _named(scenario, settings, found, known, lost, keep, used) if found else known
         return Routes(
             tuple(ways),
             scenario.now,
@@ -186,9 +189,10 @@ def _named(
     known: list[Way],
     lost: list[Way],
     keep: str | None,
+    used: Collection[str | None],
 ) -> list[Way]:
     """New routes under the names of the old ones of their class, also of those that could not be
-    joined; new names for new classes."""
+    joined; new names for new classes, which are none of those `used` until now."""
     named, left = [], list(known)
     for way in found:
         if way.label:
@@ -202,7 +206,7 @@ def _named(
         lost = [k for k in lost if k is not twin]
         named.append(replace(way, label=twin.label, born=twin.born))
     named += [way for way in left if way.label == keep]
-    used = {way.label for way in named}
+    used = {*used, *(way.label for way in named)}
     for i, way in enumerate(named):
         if not way.label:
             names = (f"{way.stop} {label(n)}".strip() for n in counter())

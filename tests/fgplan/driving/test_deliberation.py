@@ -80,6 +80,11 @@ def test_what_is_not_finite_is_not_averaged():
     assert known.heard(components, scores, 0.1, COMMITMENT, OVER).of == {"B": 0.4}
 
 
+def test_a_name_that_means_something_new_has_no_past():
+    known = Deliberation("A", 0.0, {"B": 0.4, "C": 0.2}, 0.0).branched({"B", "D"})
+    assert (known.followed, known.of) == ("A", {"C": 0.2})
+
+
 def test_going_there_and_back_leaves_it_as_it_was():
     known = Deliberation("A", 0.0, {"B": 1.2, "C": -0.5}, 3.0)
     there = known.following("B", 3.0)

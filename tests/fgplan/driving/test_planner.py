@@ -328,6 +328,18 @@ def test_a_goal_that_moves_is_driven_to_without_a_stop():
     np.testing.assert_allclose(a.action.velocity, b.action.velocity, atol=0.02)
 
 
+def test_where_the_way_that_is_followed_is_closed_another_one_is_taken_and_said():
+    world = World(Planner(scenario(grid=GRID, count=1), SETTINGS)).run(5)
+    assert world.decisions[-1].label == "A"
+    side = np.sign(world.decisions[-1].trajectory.positions[-1, 1])
+    wall = [(3.3, 0.9 * side), (3.7, 0.9 * side), (3.7, 3.0 * side), (3.3, 3.0 * side)]
+    closed = OccupancyGrid.from_polygons([BLOCK, wall], (-1, -3, 9, 3), 0.1, border=True)
+    decision = world.step(grid=closed)
+    assert decision.outcome is Outcome.REPLANNING
+    assert decision.label == "B"
+    assert world.step().outcome is Outcome.FOLLOWING
+
+
 def test_whatever_breaks_inside_is_a_stop_that_says_so(monkeypatch):
     world = World(Planner(scenario(), SETTINGS)).run(5)
 

@@ -65,6 +65,33 @@ def test_a_map_that_closes_a_route_takes_it_away():
     assert [way.label for way in routes.ways] == ["B"]
 
 
+def passages(*closed):
+    """A map of three ways past two blocks, some of them closed."""
+    blocks = [[(4.0, y), (6.0, y), (6.0, y + 2.4), (4.0, y + 2.4)] for y in (-3.0, 0.6)]
+    at = {"top": (3.0, 5.0), "middle": (-0.6, 0.6), "bottom": (-5.0, -3.0)}
+    blocks += [[(4.5, a), (5.5, a), (5.5, b), (4.5, b)] for a, b in (at[name] for name in closed)]
+    return OccupancyGrid.from_polygons(blocks, (-1, -5, 11, 5), 0.1, border=True)
+
+
+def test_the_name_of_a_lost_route_is_not_that_of_a_new_one():
+    """Until it has been gone for a search, or as long as it is followed."""
+
+    def labels(routes, now, grid, keep="A"):
+        routes = routes.update(scenario(now=now, grid=grid), Routing(), keep)
+        return routes, {way.label: float(np.abs(way.path).max(axis=0)[1]) for way in routes.ways}
+
+    routes, ways = labels(Routes(), 0.0, passages())
+    assert list(ways) == ["A", "B"]
+    assert ways["A"] < 1 < ways["B"]
+    routes, ways = labels(routes, 0.1, passages("middle"))
+    assert set(ways) == {"B", "C"}
+    closed = passages("middle", "bottom")
+    assert set(labels(routes, 0.2, closed)[1]) == {"B"}
+    routes, _ = labels(routes, 0.2, closed)
+    assert set(labels(routes, 0.3, passages("middle"))[1]) == {"B", "C"}
+    assert set(labels(routes, 0.3, passages("middle"), "B")[1]) == {"A", "B"}
+
+
 def test_no_route_is_said_by_its_name():
     routes = Routes().update(scenario(goal=np.array([5.0, 0.0])), Routing(), None)
     assert routes.ways == ()
