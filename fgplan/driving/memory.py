@@ -17,6 +17,11 @@ from fgplan.mixture import Mixture
 from fgplan.scenario import Scenario
 from fgplan.trajectory import Trajectory
 
+NEARER = 0.1
+"""Who has so much less to go makes progress [m]."""
+NOWHERE = (np.inf, -np.inf)
+"""Before there is any progress."""
+
 
 @dataclass(frozen=True, eq=False)
 class Memory:
@@ -36,7 +41,8 @@ class Memory:
         deliberation: How much better others have looked of late.
         operated: What the operator said.
         refused: The last observation, if it was not believed.
-        nearest: Shortest way to the goal so far [m], and when it was reached [s].
+        nearest: How little was left to go so far on the way that is followed [m], and since when
+            [s].
     """
 
     scenario: Scenario
@@ -52,7 +58,7 @@ class Memory:
     deliberation: Deliberation = Deliberation()  # noqa: RUF009 - frozen
     operated: Operated = field(default_factory=Operated)
     refused: Refused | None = None
-    nearest: tuple[float, float] = (np.inf, -np.inf)
+    nearest: tuple[float, float] = NOWHERE
 
     @property
     def jumped(self) -> bool:
@@ -69,11 +75,31 @@ class Memory:
             operated=self.operated.on_new_clock(),
         )
 
+    @property
+    def to_go(self) -> float:
+        """Along the way that is followed, or else the shortest [m]; inf where there is none."""
+        ways = [way for way in self.routes.ways if way.label == self.followed] or self.routes.ways
+        return min((way.to_go for way in ways), default=np.inf)
+
     def progress(self) -> tuple[float, float]:
         """`nearest`, from where the robot is now."""
         scenario = self.scenario
         if (scenario.goal is None and scenario.mission is None) or not self.routes.ways:
             return np.inf, scenario.now
-        length = min(way.to_go for way in self.routes.ways)
         best, when = self.nearest
-        return (length, scenario.now) if length < best - 0.1 else (best, when)
+        return (self.to_go, scenario.now) if self.to_go < best - NEARER else (best, when)
+
+    def rerouted(self, routes: Routes) -> Memory:
+        """With the routes of now. Where a new map makes the way longer, progress begins anew."""
+        after = replace(self, routes=routes)
+        longer = routes.grid is not self.routes.grid and after.to_go > self.to_go + NEARER
+        return replace(after, nearest=NOWHERE) if longer else after
+
+    def following(self, label: str) -> Memory:
+        """With the route that is followed from now on; on another one, progress begins anew."""
+        return replace(
+            self,
+            followed=label,
+            nearest=self.progress() if label == self.followed else NOWHERE,
+            deliberation=self.deliberation.following(label, self.scenario.now),
+        )

@@ -16,7 +16,7 @@ from fgplan.driving.deliberation import Deliberation
 from fgplan.driving.following import action_of, shifted
 from fgplan.driving.guard import Guarded, Judge, Tier
 from fgplan.driving.leading_on import leads_on
-from fgplan.driving.memory import Memory
+from fgplan.driving.memory import NOWHERE, Memory
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import update as update_blockages
@@ -126,7 +126,7 @@ class Planner:
             operated=operated,
             mixture=None if memory.jumped else memory.mixture,
             refused=None,
-            nearest=(np.inf, -np.inf) if further else memory.nearest,
+            nearest=NOWHERE if further else memory.nearest,
             deliberation=Deliberation(memory.followed, scenario.now)
             if further
             else memory.deliberation,
@@ -138,7 +138,7 @@ class Planner:
         before = memory.routes
         routes = before.update(scenario, settings.routing, memory.followed)
         new = {way.label for way in routes.ways if way.born == scenario.now}
-        memory = replace(memory, routes=routes, deliberation=memory.deliberation.branched(new))
+        memory = replace(memory, deliberation=memory.deliberation.branched(new)).rerouted(routes)
         if routes.trouble is not None:
             outcome = Outcome(routes.trouble.code)
             return self._unplanned.rest(memory, belief, outcome, str(routes.trouble), repairs)
@@ -231,11 +231,9 @@ class Planner:
             trajectory=driven,
             started=scenario.now,
             clear=followed.check.clear,
-            followed=label,
-            deliberation=deliberation.following(label, scenario.now),
-            nearest=memory.progress(),
+            deliberation=deliberation,
         )
-        return decision, memory
+        return decision, memory.following(label)
 
     def _safe(self, followed: Component, judge: Judge, memory: Memory, began: float) -> Guarded:
         """What is done of a component: its own command where that is clear and leads on, else a

@@ -32,7 +32,8 @@ class Settings:
         goal_tolerance: A goal is reached this near to it [m] (Nav2's xy_goal_tolerance).
         blind: Without a usable observation the last plan goes on for this long, then the robot
             stops [s].
-        stall: A robot that has not come nearer to its goal for this long makes no progress [s].
+        stall: A robot that has not come nearer to its goal on the way it follows for this long
+            makes no progress [s].
         lag: See `fgplan.driving.guard`: 0 for a simulator in which speed changes at once.
         routing, tracking, pricing, guard, intake: See there.
         way_out: What is looked for where no plan is clear or leads on; None leaves it to the guard

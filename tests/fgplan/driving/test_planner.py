@@ -340,6 +340,16 @@ def test_where_the_way_that_is_followed_is_closed_another_one_is_taken_and_said(
     assert world.step().outcome is Outcome.FOLLOWING
 
 
+def test_a_robot_that_stalls_says_that_it_makes_no_progress():
+    planner = Planner(scenario(grid=GRID), replace(SETTINGS, stall=1.0))
+    world, ended = World(planner), []
+    for _ in range(9):
+        ended.append(world.step().outcome)
+        world.position, world.velocity = np.zeros(2), np.zeros(2)
+    assert set(ended[:5]) == {Outcome.FOLLOWING}
+    assert set(ended[-2:]) == {Outcome.NO_PROGRESS}
+
+
 def test_whatever_breaks_inside_is_a_stop_that_says_so(monkeypatch):
     world = World(Planner(scenario(), SETTINGS)).run(5)
 
