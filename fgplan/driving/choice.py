@@ -49,7 +49,13 @@ def expected(component: Component, judge: Judge) -> People:
 
 
 def outcome(
-    memory: Memory, before: Routes, component: Component, safe: Guarded, label: str, stall: float
+    memory: Memory,
+    before: Routes,
+    component: Component,
+    safe: Guarded,
+    instead: str,
+    label: str,
+    stall: float,
 ) -> tuple[Outcome, str]:
     """How a step ended, and why.
 
@@ -58,6 +64,7 @@ def outcome(
         before: The routes before this step.
         component: What is followed.
         safe: What is done.
+        instead: What that is, where it is not the component's own command.
         label: Of the route that is taken.
         stall: See `Settings`.
     """
@@ -69,7 +76,8 @@ def outcome(
         end = Outcome.STOPPED if stops else Outcome.NO_VALID_CONTROL
         return end, f"{why}; no command is clear of people (in {safe.contact:.1f} s)"
     if safe.tier is Tier.AVOIDING:
-        why += "; its command is not clear: the nearest clear one"
+        own = "it does not lead on" if component.check.clear else "its command is not clear"
+        why += f"; {own}: {instead}"
     if safe.tier is Tier.YIELDING:
         why += f"; no command is clear: at rest before somebody comes in {safe.contact:.1f} s"
     if safe.tier is Tier.PASSING:

@@ -42,7 +42,8 @@ Source = Callable[[Scenario, Belief], Sequence[Hypothesis]]
 """Hypotheses beside the routes: their `log_prior` stands beside −β (J_i − min J) of those."""
 
 LAST_WORD = 0.15
-"""Share of a deadline that is kept for the guard."""
+"""Share of a deadline that no plan has: half of it no search for a way has, either, and is left to
+the guard alone."""
 WAY_OUT = 0.25
 """Share of a deadline that is kept for a way out after a step whose plan was not clear."""
 LEAST = 0.2
@@ -74,12 +75,15 @@ class Planner:
         self.sources = tuple(sources)
         d = scenario.density
         self._tracker = Tracker(d.Qc_people, d.sigma_track, d.sigma_speed, settings.tracking)
-        self._unplanned = Unplanned(settings, self._tracker)
         self.memory = Memory(
             scenario.replace(tracks=(), data=()),
             people=self._tracker.recall(seen(scenario), scenario.now),
             operated=Operated(waiting=scenario.data),
         )
+
+    @property
+    def _unplanned(self) -> Unplanned:
+        return Unplanned(self.settings, self._tracker)
 
     def step(self, observation: Observation) -> Decision:
         """What to do until the next step. It never raises: what goes wrong is a stop that says so.
@@ -205,11 +209,11 @@ class Planner:
             ended = Outcome.NO_VALID_CONTROL
             return self._unplanned.rest(memory, belief, ended, str(error), repairs)
         followed = chosen(mixture, judge)
-        safe = self._safe(followed, judge, memory, began)
+        safe, instead = self._safe(followed, judge, memory, began)
         known = {way.label for way in memory.routes.ways}
         label = taken(followed.label, safe.tier, memory.followed, known)
         driven = followed.robot if safe.tier <= Tier.TOUCHING_NOBODY else safe.trajectory
-        end, reason = outcome(memory, before, followed, safe, label, settings.stall)
+        end, reason = outcome(memory, before, followed, safe, instead, label, settings.stall)
         deliberation, _ = self._heard(memory, mixture.components)
         noted = memory.operated.note(proposed, scenario, label)
         operated, intent = noted.understand(mixture, scenario, driven)
@@ -235,10 +239,13 @@ class Planner:
         )
         return decision, memory.following(label)
 
-    def _safe(self, followed: Component, judge: Judge, memory: Memory, began: float) -> Guarded:
-        """What is done of a component: its own command where that is clear and leads on, else a
-        way out, or what is left of what is driven; where those are not clear, what the guard
-        says. The way for which a plan that is clear is left goes over the whole horizon."""
+    def _safe(
+        self, followed: Component, judge: Judge, memory: Memory, began: float
+    ) -> tuple[Guarded, str]:
+        """What is done of a component, and what that is where it is not its own command: its own
+        where that is clear and leads on, else a way out, or what is left of what is driven; where
+        those are not clear, what the guard says. The way for which a plan that is clear is left
+        goes over the whole horizon."""
         settings, planned, plan = self.settings, expected(followed, judge), followed.robot
         search, clear, until = settings.way_out, followed.check.clear, np.inf
         if settings.deadline is not None:
@@ -246,15 +253,18 @@ class Planner:
         if search is None or (
             clear and leads_on(search, judge, plan, settings.goal_tolerance, until)
         ):
-            return judge.command(plan, planned)
+            return judge.command(plan, planned), "the nearest clear one"
         way = search.search(judge.scenario, judge.belief, plan, until)
-        if clear and not search.whole(way):
-            way = None
-        found = None if way is None else judge.clear(way)
-        if found is None and memory.trajectory is not None:
+        if way is not None and (search.whole(way) or not clear):
+            found = judge.clear(way)
+            if found is not None:
+                return found, "a way out"
+        if memory.trajectory is not None:
             since, times = judge.scenario.now - memory.started, judge.scenario.density.times
             found = judge.clear(shifted(memory.trajectory, since, times))
-        return found or judge.command(plan, planned)
+            if found is not None:
+                return found, "what is left of the last plan"
+        return judge.command(plan, planned), "the nearest clear one"
 
     def _propose(self, memory: Memory, belief: Belief) -> tuple[tuple[Hypothesis, ...], Memory]:
         """The hypotheses of this step, and what is remembered of the operator for them."""

@@ -83,15 +83,16 @@ def stepped(monkeypatch, leads):
     seen = tuple(Detection(np.array([6.0, y]), f"p{y}", 0.3, np.zeros(2)) for y in (-0.8, 0.8))
     scenario, _ = onward(goal=np.array([15.0, 0.0]))
     planner = Planner(scenario, Settings(deadline=None))
-    return planner.step(Observation(0.0, np.zeros(2), detections=seen)).action
+    return planner.step(Observation(0.0, np.zeros(2), detections=seen))
 
 
 def test_a_plan_that_does_not_lead_on_is_left_for_a_way(monkeypatch):
     """And what is done is clear of everybody."""
-    assert stepped(monkeypatch, leads=True).kind == "follow"
+    assert stepped(monkeypatch, leads=True).action.kind == "follow"
     left = stepped(monkeypatch, leads=False)
-    assert left.kind == "avoid"
-    assert left.safe
+    assert left.action.kind == "avoid"
+    assert left.action.safe
+    assert left.reason.endswith("it does not lead on: a way out")
 
 
 def test_a_clear_plan_is_not_left_for_a_way_that_ends(monkeypatch):
@@ -99,4 +100,4 @@ def test_a_clear_plan_is_not_left_for_a_way_that_ends(monkeypatch):
     monkeypatch.setattr(
         WayOut, "search", lambda self, *asked: search(replace(self, horizon=6.0), *asked)
     )
-    assert stepped(monkeypatch, leads=False).kind == "follow"
+    assert stepped(monkeypatch, leads=False).action.kind == "follow"

@@ -189,6 +189,8 @@ def test_a_planner_takes_it_where_no_plan_is_clear():
     with_it, without = first(WayOut()), first(None)
     assert not with_it.mixture.components[0].feasible
     assert with_it.action.safe
+    assert with_it.reason.endswith("its command is not clear: a way out")
+    assert without.reason.endswith("its command is not clear: the nearest clear one")
     assert with_it.trajectory.times[-1] > 4.0 > without.trajectory.times[-1]
     crowd = people(*([*place, *toward] for place in places))
     others = expected(crowd, scenario.density.times)
@@ -206,6 +208,7 @@ def test_it_goes_on_while_it_is_clear_where_none_is_found_anew():
     decision = planner.step(Observation(now, place[:2], place[2:], detections=later))
     assert not decision.mixture.components[0].feasible
     assert decision.action.safe
+    assert decision.reason.endswith("its command is not clear: what is left of the last plan")
     np.testing.assert_allclose(decision.trajectory.at(1.0), way.at(now + 1.0), atol=0.1)
     planner.settings = replace(planner.settings, way_out=None)
     without = planner.step(Observation(0.2, *np.split(way.at(0.2), 2), detections=later))
