@@ -15,7 +15,6 @@ from fgplan import (
     Density,
     DifferentialDrive,
     FieldOfView,
-    Mixture,
     OccupancyGrid,
     Robot,
     Scenario,
@@ -417,31 +416,101 @@ def test_without_goal_it_goes_on_as_it_did():
     np.testing.assert_allclose(decision.action.velocity, [0.5, 0.0], atol=1e-3)
 
 
+def direction(rng):
+    angle = rng.uniform(0, 2 * np.pi)
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def with_detection(seen, **changes):
+    """The observation with one more detection, spoilt in some way."""
+    spoilt = replace(Detection(np.array([3.0, 2.0]), "p0"), **changes)
+    return {"detections": (*seen.detections, spoilt)}
+
+
+FAULTS = {
+    "nothing": lambda seen, rng: {},
+    "nothing sensed": lambda seen, rng: {"detections": None},
+    "nobody in sight": lambda seen, rng: {"detections": ()},
+    "late": lambda seen, rng: {"time": seen.time - 1.0},
+    "repeated": lambda seen, rng: {"time": seen.time - PERIOD},
+    "from the future": lambda seen, rng: {"time": seen.time + 10.0 ** rng.uniform(1, 12)},
+    "no time": lambda seen, rng: {"time": rng.choice([np.nan, np.inf, -np.inf])},
+    "no place": lambda seen, rng: {"position": np.full(2, np.nan)},
+    "no velocity": lambda seen, rng: {"velocity": np.array([0.0, np.nan])},
+    "no heading": lambda seen, rng: {"heading": np.nan},
+    "too fast": lambda seen, rng: {"velocity": rng.normal(0, 100, 2)},
+    "jump": lambda seen, rng: {"position": seen.position + 20 * direction(rng)},
+    "place of three numbers": lambda seen, rng: {"position": np.zeros(3)},
+    "velocity of one number": lambda seen, rng: {"velocity": np.zeros(1)},
+    "covariance too small": lambda seen, rng: {"covariance": np.eye(3)},
+    "covariance below zero": lambda seen, rng: {"covariance": -np.eye(4)},
+    "goal of three numbers": lambda seen, rng: {"goal": np.zeros(3)},
+    "goal nowhere": lambda seen, rng: {"goal": np.full(2, np.inf)},
+    "somebody twice": lambda seen, rng: with_detection(seen, position=rng.uniform(-5, 5, 2)),
+    "somebody nowhere": lambda seen, rng: with_detection(seen, position=np.full(2, np.inf)),
+    "somebody of three numbers": lambda seen, rng: with_detection(seen, velocity=np.zeros(3)),
+    "somebody in a row": lambda seen, rng: with_detection(seen, position=np.zeros((1, 2))),
+    "nobody": lambda seen, rng: {"detections": (None,)},
+}
+"""What may be wrong with an observation: changes of it."""
+UNUSABLE = {
+    "repeated",
+    "no time",
+    "no place",
+    "no velocity",
+    "no heading",
+    "jump",
+    "place of three numbers",
+    "velocity of one number",
+    "covariance too small",
+    "covariance below zero",
+    "nobody",
+}
+"""Those after which nothing of it is known."""
+
+
+def spoilt(observation, fault, rng):
+    return replace(observation, **FAULTS[fault](observation, rng))
+
+
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 10_000))
-def test_faults_of_every_kind_never_make_an_unsound_action(seed):
-    """Dropped, repeated, late, NaN, jumping, teleporting: each at random."""
+@given(st.lists(st.sampled_from(sorted(FAULTS)), min_size=15, max_size=15), st.integers(0, 9))
+def test_faults_of_every_kind_never_make_an_unsound_action(faults, seed):
+    """One after another: dropped, repeated, late, early, NaN, of no shape, jumping."""
     rng = np.random.default_rng(seed)
     people = np.hstack([rng.uniform([1, -2], [5, 2], (3, 2)), rng.normal(0, 0.5, (3, 2))])
     world = World(Planner(scenario(grid=GRID), SETTINGS), *people)
-    for _ in range(15):
-        observation = world.observation()
-        fault = rng.integers(8)
-        if fault == 0:
-            observation = replace(observation, detections=None)
-        elif fault == 1:
-            observation = replace(observation, time=observation.time - 1.0)
-        elif fault == 2:
-            observation = replace(observation, position=np.full(2, np.nan))
-        elif fault == 3:
-            far = Detection(rng.uniform(-5, 5, 2), "p0")
-            observation = replace(observation, detections=(far, far))
-        elif fault == 4:
-            observation = replace(observation, detections=(Detection(np.full(2, np.inf)),))
-        decision = world.planner.step(observation)
+    for fault in faults:
+        decision = world.planner.step(spoilt(world.observation(), fault, rng))
         assert is_sound(decision)
-        assert isinstance(decision.mixture, Mixture | None)
         world.follow(decision)
+
+
+@pytest.mark.parametrize("fault", sorted(FAULTS))
+def test_each_fault_alone_is_survived(fault):
+    """The next good observations are driven on with, whatever came before."""
+    rng = np.random.default_rng(0)
+    world = World(Planner(scenario(), SETTINGS), [5.0, 2.0, -0.3, 0.0]).run(4)
+    world.follow(world.planner.step(spoilt(world.observation(), fault, rng)))
+    ended = [world.step().outcome for _ in range(4)]
+    assert ended[-1] is Outcome.FOLLOWING
+
+
+@pytest.mark.parametrize("fault", sorted(UNUSABLE))
+def test_where_nothing_usable_comes_any_more_the_robot_comes_to_rest(fault):
+    """A second on the last plan, then a stop."""
+    rng = np.random.default_rng(0)
+    world = World(Planner(scenario(), SETTINGS)).run(6)
+    decisions = []
+    for _ in range(20):
+        decisions.append(world.planner.step(spoilt(world.observation(), fault, rng)))
+        world.follow(decisions[-1])
+        if fault == "repeated":
+            world.time -= PERIOD
+    assert all(is_sound(decision) for decision in decisions)
+    goes_on = int(np.ceil(SETTINGS.blind / PERIOD))
+    speed = np.linalg.norm(decisions[goes_on].action.velocity)
+    assert stops(decisions[goes_on + 1 :], speed)
 
 
 @pytest.mark.parametrize(
