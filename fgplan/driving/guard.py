@@ -156,10 +156,12 @@ class Judge:
         return self._commanded[plan]
 
     def clear(self, way: Trajectory) -> Guarded | None:
-        """A way among people as they are predicted, if all of it is clear as it would be driven."""
-        times = self._looks[0]
+        """A way among people as they are predicted, if all of it is clear as it would be driven:
+        one for a robot that moves in any direction, as near to it as this one comes."""
+        times, model = self._looks[0], self.scenario.robot.model
         people = People(times, self.belief.expected(times), self.belief.radii)
-        states = self._followed(way)
+        lifted = model.lift(self.scenario.robot, self._now, way)
+        states = self._followed(model.trajectory(way.times, lifted))
         if np.isfinite(self._look(states, times, people).contact[0]):
             return None
         return self._guarded(states[0], times, Tier.AVOIDING)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fgplan import OccupancyGrid, Robot, Scenario
+from fgplan import CarLike, DifferentialDrive, OccupancyGrid, Robot, Scenario
 from fgplan.crowd import Belief
 from fgplan.driving import Detection, Observation, Planner, Settings
 from fgplan.driving.guard import Judge, Tier
@@ -195,6 +196,19 @@ def test_a_planner_takes_it_where_no_plan_is_clear():
     crowd = people(*([*place, *toward] for place in places))
     others = expected(crowd, scenario.density.times)
     assert check(scenario, with_it.trajectory, others).first_contact == np.inf
+
+
+@pytest.mark.parametrize("model", [DifferentialDrive(), CarLike()])
+def test_a_robot_with_wheels_takes_it_as_its_wheels_allow(model):
+    """Which a way of a robot that moves in any direction may be: it is checked as it is driven."""
+    scenario, places, toward = approached()
+    robot = replace(scenario.robot, heading=0.0, model=model)
+    planner = Planner(scenario.replace(robot=robot), Settings(deadline=None))
+    seen_now = seen(places, toward)
+    decision = planner.step(Observation(0.0, np.zeros(2), robot.velocity, 0.0, detections=seen_now))
+    assert not decision.mixture.components[0].feasible
+    assert "Error" not in decision.reason
+    assert model.problems(robot, decision.trajectory) == []
 
 
 def test_it_goes_on_while_it_is_clear_where_none_is_found_anew():
