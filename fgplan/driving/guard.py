@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief, heading
+from fgplan.driving.meeting import gaps_of, moving, walls_of
 from fgplan.safety import TOLERANCE, Check, People, allowed, check, contacts
 from fgplan.scenario import Scenario
-from fgplan.trajectory import Trajectory, hermite, length
+from fgplan.trajectory import Trajectory, length
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -187,7 +188,7 @@ class Judge:
             return self._guarded(states[best], times, Tier.AVOIDING)
         tier, rest = self._left(found, clear)
         if tier is Tier.AVOIDING:
-            gap = _gaps(self.scenario, states[rest, :, :2], times, predicted)
+            gap = gaps_of(self.scenario, states[rest, :, :2], times, predicted)
             room = np.minimum(found.room[rest], among._room(gap, states[rest, :, :2], times))
             order = np.lexsort((apart[rest], -np.round(room, 1)))
         else:
@@ -272,8 +273,8 @@ class Judge:
 
     def _look(self, states: Array, times: Array, people: People) -> _Fan:
         """What M trajectories (M, S, dim) meet, and whether each can stop after a period."""
-        gaps = _gaps(self.scenario, states[..., :2], times, people)
-        wall = _walls(self.scenario, states[..., :2])
+        gaps = gaps_of(self.scenario, states[..., :2], times, people)
+        wall = walls_of(self.scenario, states[..., :2])
         touching = contacts(gaps).any(axis=-1) | contacts(wall[..., None])[..., 0]
         contact = np.where(touching.any(axis=1), times[np.argmax(touching, axis=1)], np.inf)
         nearest = gaps.min(axis=(1, 2), initial=np.inf)
@@ -298,9 +299,9 @@ class Judge:
         path = np.concatenate([states[:, : steps + 1, :2], stop[:, 1:, :2]], axis=1)
         when = np.append(times[: steps + 1], times[steps] + braked[1:])
         people = People(when, self.belief.expected(when), self.belief.radii)
-        wall = _walls(self.scenario, path)
-        shut = contacts(wall[..., None])[..., 0] & _moving(path)
-        room = self._room(_gaps(self.scenario, path, when, people), path, when)
+        wall = walls_of(self.scenario, path)
+        shut = contacts(wall[..., None])[..., 0] & moving(path)
+        room = self._room(gaps_of(self.scenario, path, when, people), path, when)
         return np.where(shut.any(axis=1), -np.inf, room)
 
     def _stops(self, states: Array) -> tuple[Array, Array]:
@@ -314,7 +315,7 @@ class Judge:
             times = dt * np.arange(count, dtype=float)
             still = np.zeros((len(states), count - 1, 2))
             stop = robot.model.driven(robot, states, still, times, 0.5)
-            if not _moving(stop[:, -2:, :2]).any():
+            if not moving(stop[:, -2:, :2]).any():
                 return times, stop
             count *= 2  # a car brakes no faster than its wheels straighten
 
@@ -338,7 +339,7 @@ class Judge:
         nearer = gap < asked - TOLERANCE
         room = np.where(nearer, free / spread, np.inf)
         nearest = room.min(axis=-1, initial=np.inf)
-        return np.asarray(np.where(_moving(path), nearest, np.inf).min(axis=1))
+        return np.asarray(np.where(moving(path), nearest, np.inf).min(axis=1))
 
 
 def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
@@ -349,25 +350,3 @@ def _wishes(fan: Array, times: Array, settings: Guard) -> Array:
     second = np.concatenate([fan, np.tile(then, (len(fan), 1))])
     early = times[:-1, None] < settings.turn - 1e-9
     return np.where(early, first[:, None], second[:, None])
-
-
-def _moving(path: Array) -> Mask:
-    """When robots move on paths (M, S, 2), shape (M, S)."""
-    moved = length(np.diff(path, axis=1)) > 1e-4
-    return np.concatenate([moved[:, :1], moved], axis=1)
-
-
-def _gaps(scenario: Scenario, path: Array, times: Array, people: People) -> Array:
-    """Between M robots (M, S, 2) and n people, shape (M, S, n) [m]."""
-    if not people.states.shape[1]:
-        return np.full((*path.shape[:2], 0), np.inf)
-    where, _ = hermite(people.times, people.states[..., :2], people.states[..., 2:], times)
-    apart = length(path[:, :, None] - where[None])
-    return np.asarray(apart - (scenario.robot.radius + people.radii))
-
-
-def _walls(scenario: Scenario, path: Array) -> Array:
-    """Gap to the map along M paths (M, S, 2), shape (M, S) [m]."""
-    if scenario.grid is None:
-        return np.full(path.shape[:2], np.inf)
-    return scenario.grid.clearance(path, scenario.robot.radius)
