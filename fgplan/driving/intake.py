@@ -85,7 +85,7 @@ class Intake:
         moved = float(np.hypot(*np.subtract(new.position, old.position)))
         return moved <= self.slack * max_speed * (new.time - old.time) + self.jump
 
-    def on_new_clock(self, refused: Refused) -> bool:
+    def is_new_clock(self, refused: Refused) -> bool:
         """Whether what was refused shows that the clock was set anew."""
         return refused.kind == "clock" and refused.agreed >= self.clock
 

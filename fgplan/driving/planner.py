@@ -105,7 +105,7 @@ class Planner:
     ) -> tuple[Decision, Memory]:
         settings, robot = self.settings, memory.scenario.robot
         refused = settings.intake.refused(observation, memory.observation, memory.refused, robot)
-        if refused is not None and settings.intake.on_new_clock(refused):
+        if refused is not None and settings.intake.is_new_clock(refused):
             memory, refused = memory.on_new_clock(), None
         if refused is not None:
             memory = replace(memory, refused=refused)
