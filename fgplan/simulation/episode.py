@@ -152,7 +152,8 @@ def run(world: World, policy: Policy, watch: Watch | None = None) -> Episode:
             now = bool(region.contains(body.position))
             entries[i] += now and not inside[i]
             inside[i] = now
-        there = not np.hypot(*(body.position - goal)) >= rules.tolerance  # nowhere to be is there
+        # Where no goal is stated there is nowhere to be.
+        there = np.isnan(goal).any() or np.hypot(*(body.position - goal)) < rules.tolerance
         if all(entries) and there and errand.done:
             end = End.GOAL
             break

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.driving import Decision, Observation, Outcome
+from fgplan.errors import FgplanError
 from fgplan.robots import Twist
 
 Array = NDArray[np.float64]
+
+
+class NotFinite(FgplanError, ValueError):
+    """A command that no robot can execute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +29,9 @@ class Command:
         outcome: How the step ended.
         label: Of the hypothesis that is followed; None when there is none.
         decision: All that the planner says, where it says more; for pictures.
+
+    Raises:
+        NotFinite: a velocity or a twist is not a finite number.
     """
 
     velocity: Array
@@ -31,6 +39,14 @@ class Command:
     outcome: Outcome = Outcome.FOLLOWING
     label: str | None = None
     decision: Decision | None = None
+
+    def __post_init__(self) -> None:
+        twist = () if self.twist is None else astuple(self.twist)
+        if not np.all(np.isfinite([*self.velocity, *twist])):
+            raise NotFinite(
+                f"command: got velocity {np.asarray(self.velocity).tolist()}, twist {self.twist}; "
+                "give finite numbers"
+            )
 
 
 class Policy(Protocol):

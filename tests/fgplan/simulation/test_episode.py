@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fgplan.driving import Observation, Settings
 from fgplan.driving.guard import Guard
 from fgplan.occupancy import OccupancyGrid
+from fgplan.robots import Twist
 from fgplan.simulation.body import Limits
 from fgplan.simulation.driver import Fgplan
 from fgplan.simulation.episode import run
@@ -27,6 +28,16 @@ class Stands:
 
     def step(self, observation: Observation) -> Command:
         return Command(np.zeros(2))
+
+
+class Commands:
+    """A policy that commands one thing."""
+
+    def __init__(self, velocity: tuple[float, float], twist: Twist | None = None) -> None:
+        self.velocity, self.twist = np.array(velocity), twist
+
+    def step(self, observation: Observation) -> Command:
+        return Command(self.velocity, self.twist)
 
 
 class Breaks:
@@ -96,6 +107,22 @@ def test_an_error_of_the_policy_is_kept_and_ends_the_run() -> None:
     assert numbers["end"] == "error"
     assert numbers["error"] == "RuntimeError: no idea"
     assert summary([{**numbers, "seed": 0}])["errors"] == 1
+
+
+@pytest.mark.parametrize(
+    ("policy", "commanded"),
+    [
+        (Commands((np.nan, 0.0)), "velocity [nan, 0.0]"),
+        (Commands((0.0, np.inf)), "velocity [0.0, inf]"),
+        (Commands((0.0, 0.0), Twist(0.0, 0.0, np.nan)), "angular_z=nan"),
+    ],
+)
+def test_a_command_that_is_not_finite_is_an_error(policy: Commands, commanded: str) -> None:
+    episode = run(world(), policy)
+    assert episode.end == "error"
+    assert commanded in episode.error
+    assert np.isfinite(episode.robot).all()
+    assert not row(episode)["success"]
 
 
 def test_the_goal_jumps_when_its_time_has_come() -> None:
