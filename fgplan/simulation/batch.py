@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -39,6 +40,10 @@ class NoScheduler(FgplanError, OSError):
 
 class BadStore(FgplanError, ValueError):
     """A file of results that cannot be read."""
+
+
+class SameKey(FgplanError, ValueError):
+    """Two jobs whose runs nobody could tell apart."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +101,15 @@ def run_all(
         progress: Told how many are done.
 
     Raises:
+        SameKey: two jobs have the same key; nothing was run.
         BadStore: the file cannot be read.
     """
+    twice = [key for key, count in Counter(job.key for job in jobs).items() if count > 1]
+    if twice:
+        raise SameKey(
+            f"jobs: got {len(twice)} more than once, the first is {twice[0]!r}; a run is known by "
+            "scenario, planner and seed: name each planner once, and give files other names"
+        )
     rows = {} if store is None else read(store, mend=True)
     waiting = [job for job in jobs if job.key not in rows]
     task = partial(play, measure=measure, store=store)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fgplan.simulation.batch import BadStore, Job, cluster, local, play, read, run_all
+from fgplan.simulation.batch import BadStore, Job, SameKey, cluster, local, play, read, run_all
 from fgplan.simulation.crowdnav import CrowdNav
 from fgplan.simulation.world import World
 
@@ -83,6 +83,13 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
     store.write_text("shopping\n")
     with pytest.raises(BadStore, match=r"notes.txt, line 1: got b'shopping'"):
         run_all(jobs(CrowdNav(), 1), store=store)
+
+
+def test_jobs_that_cannot_be_told_apart_are_refused_before_any_run() -> None:
+    setup = Counted()
+    with pytest.raises(SameKey, match=r"got 2 more than once, the first is 'circle straight 0'"):
+        run_all([*jobs(setup, 2), *jobs(CrowdNav(5, "square"), 3)])
+    assert setup.made == []
 
 
 def test_results_of_workers_without_the_disk_are_added(tmp_path: Path) -> None:

@@ -54,6 +54,15 @@ def test_a_planner_that_does_not_exist_is_refused_with_near_names() -> None:
     assert "layered-global" in typed("simulate", DOOR, "--planner", "layerd", code=2)
 
 
+def test_files_of_one_name_and_a_planner_given_twice_are_refused(tmp_path: Path) -> None:
+    other = tmp_path / Path(DOOR).name
+    other.write_text(Path(DOOR).read_text())
+    straight = ("--planner", "straight")
+    for arguments in ((DOOR, str(other), *straight), (DOOR, *straight, *straight)):
+        text = typed("simulate", *arguments, "--seeds", "2", code=2)
+        assert "'s7_doorway_0.9 straight 0'" in text
+
+
 def test_a_change_that_is_none_is_refused() -> None:
     assert "KEY=VALUE" in typed("simulate", DOOR, "--set", "count", code=2)
 
