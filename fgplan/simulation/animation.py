@@ -76,13 +76,13 @@ def film(world: World, policy: Policy, path: Path) -> Episode:
     Raises:
         NoFilm: the file cannot be written.
     """
-    shots: list[Shot] = []
+    start, shots = _standing(world), list[Shot]()
 
     def watch(moment: Moment) -> None:
         shots.append(_shot(moment, world))
 
     episode = run(world, policy, watch)
-    pictures = list(_pictures(shots, episode, world))
+    pictures = list(_pictures(shots or [start], episode, world))
     pause = round(1000 * EVERY)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -97,6 +97,13 @@ def film(world: World, policy: Policy, path: Path) -> Episode:
     except OSError as error:
         raise NoFilm(f"film: got {str(path)!r}; it cannot be written: {error}") from error
     return episode
+
+
+def _standing(world: World) -> Shot:
+    """Before the first step: all there is to see of a run that ends in it."""
+    people, robot = world.people, world.scenario.robot
+    there = people.present.copy()
+    return Shot(0.0, robot.position, people.positions[there], people.radii[there], {}, {}, None, "")
 
 
 def _shot(moment: Moment, world: World) -> Shot:
@@ -132,7 +139,7 @@ def _pictures(shots: Sequence[Shot], episode: Episode, world: World) -> Iterator
     colours = _colours(shots)
     lanes = 2.0 if colours else 0.0
     step = max(1, round(EVERY / world.rules.period))
-    shown = sorted({*range(0, len(shots), step), max(len(shots) - 1, 0)}) if shots else []
+    shown = sorted({*range(0, len(shots), step), len(shots) - 1})
     grid, after = world.scenario.grid, 0
     for k in shown:
         grid = next((s.grid for s in reversed(shots[after : k + 1]) if s.grid is not None), grid)
@@ -181,8 +188,9 @@ def _draw_world(
     radius = world.scenario.robot.radius
     axes.add_patch(Circle(tuple(shot.robot), radius, fc=ROBOT, ec="white", lw=0.8, zorder=7))
     goal = world.scenario.goal
-    for event in world.events:
-        goal = event.goal if event.time <= shot.time else goal
+    for event in sorted(world.events, key=lambda event: event.time):
+        if event.goal is not None and event.time <= shot.time:
+            goal = event.goal
     if goal is not None:
         axes.plot(*goal, marker="*", ms=14, mfc=GOAL, mec="black", mew=0.6, zorder=3)
     axes.set(xlim=(box[0], box[2]), ylim=(box[1], box[3]), aspect="equal")
@@ -233,7 +241,7 @@ def _view(episode: Episode, world: World) -> Box:
     """What is shown: the map, else everything that moves."""
     if world.grid is not None:
         return world.grid.bounds
-    people = episode.people.reshape(-1, 2)
-    points = np.vstack([episode.robot[:, :2], people[~np.isnan(people[:, 0])], episode.goal])
+    points = np.vstack([episode.robot[:, :2], episode.people.reshape(-1, 2), episode.goal])
+    points = points[~np.isnan(points[:, 0])]  # nobody there, no goal stated
     low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])

@@ -93,7 +93,9 @@ def simulate(
         stick = [] if operator is None else [f"world.operator={operator}"]
         setups = [FromFile(path, _changes([*(change or []), *stick])) for path in scenario]
         for setup in setups:
-            setup.check()
+            world = setup(seed_offset)
+            for maker in makers:  # who cannot drive there says so before anybody does
+                maker(world)
         every = range(seed_offset, seed_offset + seeds)
         jobs = [
             Job(setup, setup.name, name, seed)

@@ -149,7 +149,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     steps = np.array([r["steps"] for r in rows], dtype=float)
     uneasy = np.array([r["discomfort"] for r in rows], dtype=float)
     line["discomfort"] = float((uneasy * steps).sum() / max(steps.sum(), 1.0))
-    line["min_clearance"] = min(r["min_clearance"] for r in rows)
+    gaps = [r["min_clearance"] for r in rows if r["min_clearance"] is not None]
+    line["min_clearance"] = min(gaps, default=None)
     taken = np.concatenate([r["step_ms"] for r in rows])
     for share in (50, 99):
         line[f"step_ms_p{share}"] = float(np.percentile(taken, share)) if len(taken) else None

@@ -13,6 +13,7 @@ from fgplan.peers.costmap import Inflation
 from fgplan.peers.dwa import Window
 from fgplan.peers.layered import LayeredStack, Settings, Status
 from fgplan.roadmap import roadmap
+from fgplan.simulation.peers import goal_for
 from fgplan.simulation.policy import Command
 from fgplan.simulation.world import World
 
@@ -38,14 +39,15 @@ class Layered:
     Args:
         world: Robot, goal, map and limits.
         people_in: Whether people are in the "local" costmap alone or in the "global" one, too.
+
+    Raises:
+        NoGoal: the world has none.
     """
 
     def __init__(self, world: World, people_in: Literal["local", "global"] = "local") -> None:
         scenario, limits = world.scenario, world.limits
         robot = scenario.robot
-        if scenario.goal is None:
-            raise ValueError("the scenario has no goal; a peer needs one")
-        self._goal = np.asarray(scenario.goal, dtype=float)
+        self._goal = goal_for("layered", scenario)
         self._grid = _open(robot.position, self._goal) if scenario.grid is None else scenario.grid
         self._people: Array = np.array([track.positions[-1] for track in scenario.tracks])
         self._label = 0

@@ -25,7 +25,8 @@ RESAMPLED = 2000
 def row(episode: Episode) -> Row:
     """One run in numbers; None where a number does not exist.
 
-    `time` and `path_ratio` are of runs that reach the goal; `success` is the goal without any
+    `time` and `path_ratio` are of runs that reach the goal, the latter where there is a way to go;
+    `success` is the goal without any
     contact. Distances are in metres, times in seconds, shares from 0 to 1.
     """
     reached = episode.end is End.GOAL
@@ -49,7 +50,7 @@ def row(episode: Episode) -> Row:
         "collisions": touched + walls,
         "wall_contacts": walls,
         "time": float(episode.times[-1]) if reached else None,
-        "path_ratio": length / episode.reference if reached else None,
+        "path_ratio": length / episode.reference if reached and episode.reference > 0 else None,
         "min_separation": _finite(apart.min(initial=np.inf)),
         "min_clearance": _finite(episode.gaps.min(initial=np.inf)),
         "stopped_fraction": float(stopped.mean()) if len(steps) else 0.0,

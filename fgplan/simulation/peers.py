@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fgplan.crowd import believe
 from fgplan.driving import Detection, Observation
+from fgplan.errors import FgplanError
 from fgplan.scenario import Density, Scenario, Track
 from fgplan.simulation.orca import Orca, OrcaMotion
 from fgplan.simulation.policy import Command
@@ -22,11 +23,15 @@ KEPT = 6
 """Detections kept of each person."""
 
 
+class NoGoal(FgplanError, ValueError):
+    """A peer in a world without a goal."""
+
+
 class Straight:
     """To the goal at the preferred speed, through everything: what happens if nobody plans."""
 
     def __init__(self, world: World) -> None:
-        self._goal = _goal(world.scenario)
+        self._goal = goal_for("straight", world.scenario)
         self._speed = world.scenario.robot.preferred_speed
         self._period = world.rules.period
 
@@ -45,7 +50,7 @@ class OrcaRobot:
     """
 
     def __init__(self, world: World, settings: Orca | None = None) -> None:
-        self._goal = _goal(world.scenario)
+        self._goal = goal_for("orca", world.scenario)
         self._robot = world.scenario.robot
         self._period = world.rules.period
         self._settle = SETTLE if world.rules.slows_down else self._period
@@ -122,9 +127,17 @@ class Memory:
         return believe(tracks, now, density.Qc_people, *sigmas).mean
 
 
-def _goal(scenario: Scenario) -> Array:
+def goal_for(planner: str, scenario: Scenario) -> Array:
+    """The goal, shape (2,) [m], for a planner that knows nothing else to do.
+
+    Raises:
+        NoGoal: the scenario has none.
+    """
     if scenario.goal is None:
-        raise ValueError("the scenario has no goal; a peer needs one")
+        raise NoGoal(
+            f"planner {planner} needs a goal: got none in {scenario.name!r}; give the scenario a "
+            "`goal`, or take fgplan, which drives to do a [mission]"
+        )
     return np.asarray(scenario.goal, dtype=float)
 
 

@@ -11,6 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from fgplan.cli import app
+from tests.fgplan.simulation.test_errand import DOOR as MISSION
 from tests.pedestrians import FOLDER, needs_recordings
 
 DATA = Path(__file__).parents[3] / "data" / "simulations"
@@ -61,6 +62,15 @@ def test_files_of_one_name_and_a_planner_given_twice_are_refused(tmp_path: Path)
     for arguments in ((DOOR, str(other), *straight), (DOOR, *straight, *straight)):
         text = typed("simulate", *arguments, "--seeds", "2", code=2)
         assert "'s7_doorway_0.9 straight 0'" in text
+
+
+def test_a_peer_is_refused_where_there_is_no_goal_before_anybody_drives(tmp_path: Path) -> None:
+    file, store = tmp_path / "door.toml", tmp_path / "runs.jsonl"
+    file.write_text(MISSION)
+    text = typed("simulate", str(file), "--planner", "fgplan", "--planner", "orca",
+                 "--store", str(store), code=2)  # fmt: skip
+    assert "planner orca needs a goal" in text
+    assert not store.exists()
 
 
 def test_a_change_that_is_none_is_refused() -> None:

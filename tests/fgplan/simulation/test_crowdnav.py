@@ -9,6 +9,7 @@ from fgplan.simulation import crowdnav
 from fgplan.simulation.crowdnav import CrowdNav
 from fgplan.simulation.episode import run
 from fgplan.simulation.peers import OrcaRobot, Straight
+from tests.fgplan.simulation.worlds import Breaks
 
 PUBLISHED_TEST = 1000
 
@@ -26,6 +27,17 @@ def test_the_orca_row_is_the_published_one() -> None:
     assert line["time"] == pytest.approx(10.86, abs=0.05)
     assert line["success"] + line["collision"] + line["timeout"] == pytest.approx(1.0)
     assert line["min_clearance"] < 0
+
+
+def test_runs_that_end_before_a_step_have_no_clearance() -> None:
+    setup = CrowdNav()
+    broken = crowdnav.measure(run(setup(PUBLISHED_TEST), Breaks()))
+    assert crowdnav.summary([broken])["min_clearance"] is None
+    world = setup(PUBLISHED_TEST)
+    whole = crowdnav.measure(run(world, Straight(world)))
+    line = crowdnav.summary([broken, whole])
+    assert line["errors"] == 1
+    assert line["min_clearance"] == whole["min_clearance"]
 
 
 def test_orca_is_safe_among_people_who_see_it() -> None:

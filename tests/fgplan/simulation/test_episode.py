@@ -17,17 +17,11 @@ from fgplan.simulation.body import Limits
 from fgplan.simulation.driver import Fgplan
 from fgplan.simulation.episode import run
 from fgplan.simulation.metrics import bootstrap, paired, row, summary, switches, wilson
-from fgplan.simulation.peers import Straight
+from fgplan.simulation.peers import NoGoal, Straight
+from fgplan.simulation.planners import named
 from fgplan.simulation.policy import Command
 from fgplan.simulation.world import Event, Rules
-from tests.fgplan.simulation.worlds import passer, world
-
-
-class Stands:
-    """A policy that does nothing."""
-
-    def step(self, observation: Observation) -> Command:
-        return Command(np.zeros(2))
+from tests.fgplan.simulation.worlds import Breaks, Stands, passer, world
 
 
 class Commands:
@@ -38,13 +32,6 @@ class Commands:
 
     def step(self, observation: Observation) -> Command:
         return Command(self.velocity, self.twist)
-
-
-class Breaks:
-    """A policy with a bug."""
-
-    def step(self, observation: Observation) -> Command:
-        raise RuntimeError("no idea")
 
 
 def test_straight_on_takes_the_length_over_the_speed() -> None:
@@ -123,6 +110,21 @@ def test_a_command_that_is_not_finite_is_an_error(policy: Commands, commanded: s
     assert commanded in episode.error
     assert np.isfinite(episode.robot).all()
     assert not row(episode)["success"]
+
+
+def test_who_starts_at_the_goal_has_no_way_to_compare_with() -> None:
+    made = world(goal=(0.0, 0.0))
+    numbers = row(run(made, Straight(made)))
+    assert numbers["success"]
+    assert numbers["path_ratio"] is None
+
+
+@pytest.mark.parametrize("planner", ["straight", "orca", "layered", "layered-global"])
+def test_a_peer_in_a_world_without_a_goal_says_so(planner: str) -> None:
+    made = world()
+    made = replace(made, scenario=made.scenario.replace(goal=None))
+    with pytest.raises(NoGoal, match=rf"planner {planner.removesuffix('-global')} needs a goal"):
+        named(planner)(made)
 
 
 def test_the_goal_jumps_when_its_time_has_come() -> None:

@@ -7,11 +7,27 @@ from typing import Any
 
 import numpy as np
 
+from fgplan.driving import Observation
 from fgplan.scenario import Robot, Scenario
 from fgplan.simulation.body import Limits
 from fgplan.simulation.people import heedless
+from fgplan.simulation.policy import Command
 from fgplan.simulation.walkers import Walker, Walkers
 from fgplan.simulation.world import Plain, Rules, World
+
+
+class Stands:
+    """A policy that does nothing."""
+
+    def step(self, observation: Observation) -> Command:
+        return Command(np.zeros(2))
+
+
+class Breaks:
+    """A policy with a bug."""
+
+    def step(self, observation: Observation) -> Command:
+        raise RuntimeError("no idea")
 
 
 def world(walkers: Sequence[Walker] = (), goal: Any = (5.0, 0.0), **changes: Any) -> World:
