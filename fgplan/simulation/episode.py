@@ -167,6 +167,7 @@ def _observed(
     """What the robot is told at a step: of the world, of a new goal, and of facts."""
     time = round(world.scenario.now + elapsed, 9)
     seen = world.sensor(time, body, world.people)
+    said = () if world.operator is None else world.operator(round(elapsed, 9), body, world.people)
     observation = Observation(
         time=time,
         position=body.position,
@@ -177,7 +178,7 @@ def _observed(
         grid=seen.grid,
         goal=news,
         facts=facts,
-        operator=() if world.operator is None else world.operator(time, body, world.people),
+        operator=said,
     )
     return observation if world.tamper is None else world.tamper(observation)
 

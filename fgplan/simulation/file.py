@@ -278,10 +278,11 @@ def _operator(world: World, table: WorldTable, seed: int) -> Operator | None:
     operator = None if table.operator is None else operator_named(table.operator)(world, seed)
     if not table.waypoints:
         return operator
-    places = [
-        (w.said, Waypoint(np.array(w.position), w.sigma**2 * np.eye(2), w.time, name=w.name))
-        for w in table.waypoints
-    ]
+    places = []
+    for w in table.waypoints:
+        when = None if w.time is None else world.scenario.now + w.time
+        place = Waypoint(np.array(w.position), w.sigma**2 * np.eye(2), when, name=w.name)
+        places.append((w.said, place))
     return Names(places, operator)
 
 

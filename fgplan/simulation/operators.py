@@ -1,7 +1,8 @@
 """Operators of simulated robots: who holds the stick, and how badly.
 
 An operator sees the world and says what a joystick would say; wrappers make them noisy, late or
-unreliable. They are made anew for each run, with the run's own random numbers.
+unreliable. They are made anew for each run, with the run's own random numbers. They decide by the
+time since the start of the run; what they say is stamped on the clock of the scenario.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Steady:
 
     Args:
         direction: In the map frame [rad].
-        first, last: From when to when [s].
+        first, last: From when to when, since the start of the run [s].
         speed: [m/s].
     """
 
@@ -127,6 +128,7 @@ class Held:
         dropped: Share of messages that are lost.
         delay: Messages arrive so late, but with the stamp of when they were made [s].
         stick: How it is read.
+        start: Of the run, on the clock of the scenario [s].
     """
 
     hand: Hand
@@ -136,6 +138,7 @@ class Held:
     dropped: float = 0.0
     delay: float = 0.0
     stick: Stick = STICK
+    start: float = 0.0
     waiting: deque[tuple[float, JoySample]] = field(default_factory=deque)
 
     def __call__(self, time: float, body: Body, people: People) -> tuple[Measurement, ...]:
@@ -143,7 +146,8 @@ class Held:
         noise, lost = self.rng.normal(0, self.sigma, 2), self.rng.random() < self.dropped
         if wish is not None and not lost:
             axes = np.clip((wish + noise) / self.stick.speed, -1, 1)
-            message = JoySample(time, (float(axes[1]), float(axes[0])), ())
+            stamp = round(self.start + time, 9)
+            message = JoySample(stamp, (float(axes[1]), float(axes[0])), ())
             self.waiting.append((time + self.delay, message))
         said: list[Joystick] = []
         while self.waiting and self.waiting[0][0] <= time + 1e-9:
@@ -158,10 +162,14 @@ class Replay:
         path: Of the log.
         period: Between two looks at it [s].
         stick: How it is read.
+        start: Of the run, on the clock of the scenario [s].
     """
 
-    def __init__(self, path: Path, period: float, stick: Stick | None = None) -> None:
+    def __init__(
+        self, path: Path, period: float, stick: Stick | None = None, start: float = 0.0
+    ) -> None:
         self.stick, self.period = Stick() if stick is None else stick, period
+        self.start = start
         samples = sorted(read_joy(path), key=lambda sample: sample.stamp)
         first = samples[0].stamp if samples else 0.0
         self._left = deque(replace(sample, stamp=sample.stamp - first) for sample in samples)
@@ -175,14 +183,15 @@ class Replay:
             return ()
         if self.stick.problem(latest) is not None:
             return ()
-        return self.stick.wish(replace(latest, stamp=time), body.heading, self.period)
+        message = replace(latest, stamp=round(self.start + time, 9))
+        return self.stick.wish(message, body.heading, self.period)
 
 
 class Names:
     """Names places while the robot drives, each once, beside what another operator says.
 
     Args:
-        places: When each is named [s], and the place.
+        places: When each is named, since the start of the run [s], and the place.
         beside: Who holds the stick; None is nobody.
     """
 
@@ -212,7 +221,8 @@ def _steers(world: World, degrees: float) -> Hand:
 
 
 def _held(hand: Callable[[World], Hand], world: World, seed: int, **how: float) -> Operator:
-    return Held(hand(world), world.rules.period, np.random.default_rng([seed, 1]), **how)  # type: ignore[arg-type]
+    rng, start = np.random.default_rng([seed, 1]), world.scenario.now
+    return Held(hand(world), world.rules.period, rng, start=start, **how)  # type: ignore[arg-type]
 
 
 def _to_goal(world: World) -> Hand:
@@ -256,7 +266,7 @@ def operator_named(name: str) -> Maker:
 
 
 def _replay(path: Path, world: World, seed: int) -> Operator:
-    return Replay(path, world.rules.period)
+    return Replay(path, world.rules.period, start=world.scenario.now)
 
 
 @dataclass(frozen=True)

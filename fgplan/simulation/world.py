@@ -71,7 +71,8 @@ class Operator(Protocol):
     """Somebody who tells the robot where to go while it drives."""
 
     def __call__(self, time: float, body: Body, people: People) -> tuple[Measurement, ...]:
-        """What is said at a time [s]; called once a period."""
+        """What is said at a time since the start of the run [s]; called once a period. Its stamps
+        are on the clock of `Scenario.now`."""
         ...
 
 

@@ -14,6 +14,7 @@ from fgplan.shared_control import JoySample, Stick, write_joy
 from fgplan.simulation.arbitration import BlendingPlanner, TwistMuxPlanner
 from fgplan.simulation.body import Body
 from fgplan.simulation.episode import run
+from fgplan.simulation.file import FromFile
 from fgplan.simulation.operators import (
     OPERATORS,
     Adversary,
@@ -24,7 +25,10 @@ from fgplan.simulation.operators import (
     WithOperator,
     operator_named,
 )
+from fgplan.simulation.peers import Straight
 from fgplan.simulation.planners import named
+
+DATA = Path(__file__).parents[3] / "data" / "simulations"
 
 
 def listen(operator, world, steps=40):
@@ -88,6 +92,25 @@ def test_a_log_is_replayed_until_its_timeout(tmp_path: Path):
     assert [k for k, items in enumerate(said) if items] == [0, 1, 2, 3, 4, 15, 16, 17]
     assert np.linalg.norm(said[1][0].velocity) == pytest.approx(0.5)
     assert np.linalg.norm(said[3][0].velocity) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("operator", ["left", "delayed", "log"])
+def test_what_is_said_counts_from_the_start_of_the_run(tmp_path: Path, operator: str):
+    """Whatever the scenario's clock says then; the stamps are on that clock."""
+    if operator == "log":
+        operator = str(tmp_path / "log.jsonl")
+        write_joy(operator, [JoySample(50.0 + t, (0.0, 0.5), (0, 0, 0, 0, 1)) for t in (0, 1.0)])
+    places = "[{name = 'desk', position = [6, 4], sigma = 0.3, said = 1.5, time = 2.0}]"
+    told = []
+    for now in (0.0, 10.0):
+        changes = ("crowd.now", str(now)), ("world.operator", operator), ("world.waypoints", places)
+        world = FromFile(DATA / "s6a_operator.toml", (*changes, ("world.time_limit", "2.6")))(0)
+        heard = []
+        run(world, Straight(world), lambda moment, heard=heard: heard.append(moment.observation))
+        told.append([[said.time - now for said in seen.operator] for seen in heard])
+    assert any(told[0])
+    for first, again in zip(*told, strict=True):
+        assert again == pytest.approx(first, abs=1e-9)
 
 
 def test_an_unknown_operator_is_named(tmp_path: Path):
