@@ -39,7 +39,8 @@ class Limits:
 class Body:
     """A disc on a holonomic base, which drives as a base with wheels where it is given a twist.
 
-    Speeds change at the largest allowed rate until they are those of the command. A wall stops it.
+    Speeds change at the largest allowed rate until they are those of the command. A wall stops it:
+    it stays where it was before a motion that would lead into one, or through it.
 
     Args:
         scenario: The robot at the start, and the map.
@@ -65,11 +66,14 @@ class Body:
         else:
             self._roll(command.twist.linear_x, command.twist.angular_z, dt)
         self.blocked = False
-        if grid is not None and float(grid.clearance(self.position, self.radius)) < -TOUCH:
+        if grid is not None:
+            way = _between(before, self.position, 0.5 * max(self.radius, grid.resolution))
+            touching = grid.clearance(way, self.radius) < -TOUCH
             # Who is inside a wall may leave it.
-            if grid.clearance(self.position, 0.0) < grid.clearance(before, 0.0):
+            deeper = grid.clearance(way, 0.0) < grid.clearance(before, 0.0)
+            if (touching & deeper).any():
                 self.position, self.velocity = before, np.zeros(2)
-            self.blocked = True
+            self.blocked = bool(touching.any())
 
     def _slide(self, wish: Array, dt: float) -> None:
         limits = self.limits
@@ -98,6 +102,13 @@ class Body:
         self.position, self.heading = state[:2], float(state[2])
         self.yaw_rate = float(state[4])
         self.velocity = state[3] * np.array([np.cos(state[2]), np.sin(state[2])])
+
+
+def _between(start: Array, end: Array, spacing: float) -> Array:
+    """Points on the way from a point to another one, the last of them, no further apart than this
+    [m]; shape (n, 2)."""
+    count = max(1, int(np.ceil(np.hypot(*(end - start)) / spacing)))
+    return np.linspace(start, end, count + 1)[1:]
 
 
 def _shortened(vector: Array, most: float) -> Array:

@@ -146,6 +146,20 @@ def test_a_wall_stops_the_robot_and_counts() -> None:
     assert not numbers["success"]
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_thin_wall_is_met_between_two_steps(radius: float, angle: float) -> None:
+    """At both ends of a second of motion the robot is clear of the wall between them."""
+    wall = [(0.62, -3), (0.63, -3), (0.63, 3), (0.62, 3)]
+    grid = OccupancyGrid.from_polygons([wall], (-1, -3, 8, 3), 0.05)
+    made = world(grid=grid, rules=Rules(period=1.0, substeps=1, time_limit=1.0))
+    robot = replace(made.scenario.robot, radius=radius)
+    made = replace(made, scenario=made.scenario.replace(robot=robot))
+    episode = run(made, Commands((np.cos(angle), np.sin(angle))))
+    assert row(episode)["wall_contacts"] == 1
+    assert np.array_equal(episode.robot[-1], np.zeros(4))
+
+
 def test_a_limited_base_takes_its_time() -> None:
     """From rest at 0.5 m/s²: 1 m/s after 2 s, when 1 m is driven."""
     made = world(limits=Limits(1.0, max_acceleration=0.5))
