@@ -30,8 +30,8 @@ def row(episode: Episode) -> Row:
     contact. Distances are in metres, times in seconds, shares from 0 to 1.
     """
     reached = episode.end is End.GOAL
-    touched = _begins(episode.gaps < 0)
-    walls = _begins(episode.blocked)
+    touched = begins(episode.gaps < 0)
+    walls = begins(episode.blocked)
     steps = np.linalg.norm(np.diff(episode.robot[:, :2], axis=0), axis=1)
     period = float(episode.times[1]) if len(episode.times) > 1 else 1.0
     away = np.linalg.norm(episode.robot[:-1, :2] - episode.goal, axis=1)
@@ -148,7 +148,7 @@ def paired(rows: Sequence[Row], others: Sequence[Row], name: str) -> tuple[float
     return float(np.mean(differences)), *bootstrap(differences)
 
 
-def _begins(flags: NDArray[np.bool_]) -> int:
+def begins(flags: NDArray[np.bool_]) -> int:
     """How often a row of flags begins to be true."""
     return int(np.sum(flags & ~np.concatenate([[False], flags[:-1]])))
 

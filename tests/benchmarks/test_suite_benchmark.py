@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
+from benchmarks.hour import problems
 from benchmarks.hour.__main__ import main as hour
 from benchmarks.suite import SUITE, Case, beats, lines, regrets, spoilt
 from benchmarks.suite.__main__ import main as suite
+from fgplan.driving import Observation
+from fgplan.mixture import Action
+from fgplan.robots import Twist
+from fgplan.scenario import Robot
 from fgplan.simulation.planners import PLANNERS
+from fgplan.wheeled import DifferentialDrive
 
 
 def test_the_short_suite_passes_a_doorway(capsys):
@@ -73,6 +80,39 @@ def test_the_short_hour_finds_nothing_wrong(capsys):
     for row in json.loads(capsys.readouterr().out):
         assert (row["steps"], row["error"], row["broken"]) == (20, "", [])
         assert row["unsafe"] == 0
+
+
+@pytest.mark.parametrize(
+    ("velocity", "position", "twist", "says"),
+    [
+        ((0.9, 0.0), (0.085, 0.0), (0.9, 0.0), None),
+        ((0.9, 0.0), (0.085, 0.0), (0.0, -0.9), None),  # the robot looks along y
+        ((1.01, 0.0), (0.085, 0.0), (1.01, 0.0), "speed 1.01 m/s above 1.00 m/s"),
+        ((0.65, 0.0), (0.085, 0.0), (0.65, 0.0), "acceleration 1.50 m/s² above 1.00 m/s²"),
+        ((0.8, 0.2), (0.085, 0.0), (0.8, 0.2), "acceleration 2.00 m/s² above 1.00 m/s²"),
+        ((0.9, 0.0), (0.085, 0.0), (0.5, 0.0), "twist of 0.500 m/s for a velocity of 0.900 m/s"),
+        ((0.9, 0.0), (0.2, 0.0), (0.9, 0.0), "next position 0.200 m away"),
+        ((0.9, 0.0), (np.nan, 0.0), (0.9, 0.0), "not finite"),
+        ((0.9, 0.0), (0.085, 0.0), (0.9, np.inf), "not finite"),
+    ],
+)
+def test_the_hour_names_what_is_wrong_with_an_action(velocity, position, twist, says):
+    robot = Robot(np.zeros(2), max_speed=1.0, max_acceleration=1.0)
+    truth = Observation(0.0, np.zeros(2), np.array([0.8, 0.0]), heading=np.pi / 2)
+    told = Twist(*twist, 0.0)
+    action = Action("follow", 0.1, np.array(position), np.array(velocity), told, True, "")
+    found = problems(robot, truth, action, 0.1)
+    assert found == [] if says is None else says in "; ".join(found)
+
+
+def test_the_hour_knows_how_fast_wheels_may_turn():
+    robot = Robot(np.zeros(2), max_speed=1.0, max_acceleration=1.0, model=DifferentialDrive())
+    truth = Observation(0.0, np.zeros(2), heading=0.0)
+    still = np.zeros(2)
+    most = robot.model.max_yaw_acceleration * 0.1
+    for rate, broken in ((most, 0), (most + 0.1, 1)):
+        action = Action("follow", 0.1, still, still, Twist(0.0, 0.0, rate), True, "")
+        assert len(problems(robot, truth, action, 0.1)) == broken
 
 
 def _row(time):
