@@ -182,8 +182,8 @@ def _component_dict(c: Component, height: float, mass: float | None) -> dict[str
         "label": c.label,
         "log_prior": c.log_prior,
         "cost": c.cost,
-        "energy": _finite(c.energy),
-        "log_evidence": None if c.log_evidence is None else _finite(c.log_evidence),
+        "energy": finite(c.energy),
+        "log_evidence": None if c.log_evidence is None else finite(c.log_evidence),
         "probability_height": height,
         "probability_mass": mass,
         "converged": c.converged,
@@ -193,8 +193,8 @@ def _component_dict(c: Component, height: float, mass: float | None) -> dict[str
         "start": c.start,
         "optima": c.optima,
         "finished": c.finished,
-        "min_separation": _finite(c.check.min_separation),
-        "clearance": _finite(c.check.clearance),
+        "min_separation": finite(c.check.min_separation),
+        "clearance": finite(c.check.clearance),
         "feasible": c.feasible,
         "problems": list(c.check.problems),
         "robot": c.robot.rows,
@@ -207,5 +207,6 @@ def _component_dict(c: Component, height: float, mass: float | None) -> dict[str
     }
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """The number, or None: JSON knows no infinity."""
     return value if np.isfinite(value) else None

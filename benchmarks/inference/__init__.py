@@ -11,7 +11,7 @@ need optima. Errors are root mean squares over seeds, against a grid or a long r
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -142,11 +142,6 @@ def table(rows: Sequence[Row]) -> list[str]:
             lines.append(f"| {line['case']} | {line['budget_s']:g} s | {mean} | {evidence} |")
         before = (line["case"], mean, evidence)
     return lines
-
-
-def rows_as_dicts(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Plain numbers."""
-    return [asdict(row) for row in rows]
 
 
 def _least(rows: Sequence[Row], key: str) -> Row | None:

@@ -11,12 +11,13 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from benchmarks.inference import Row, rows_as_dicts, run, table, winners
+from benchmarks.inference import Row, run, table, winners
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -47,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             from benchmarks.inference.picture import draw
 
             draw(rows, options.picture, options.short, tell)
-    text = json.dumps({"rows": rows_as_dicts(rows), "winners": winners(rows)}, allow_nan=False)
+    numbers = [asdict(row) for row in rows]
+    text = json.dumps({"rows": numbers, "winners": winners(rows)}, allow_nan=False)
     if options.json == "-":
         sys.stdout.write(text + "\n")
         return

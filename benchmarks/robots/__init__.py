@@ -8,7 +8,7 @@ a robot that drives along its plan ("along") or stands and looks away from it ("
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from time import process_time
 from typing import Any
 
@@ -123,11 +123,6 @@ def run(scenes: int, bar: Bar = iter) -> list[Row]:
                 )
             )  # fmt: skip
     return rows
-
-
-def rows_as_dicts(rows: list[Row]) -> list[dict[str, Any]]:
-    """Plain numbers."""
-    return [asdict(row) for row in rows]
 
 
 def _percentiles(x: Array) -> tuple[float, float]:

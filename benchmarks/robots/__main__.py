@@ -6,11 +6,12 @@ import argparse
 import json
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.robots import rows_as_dicts, run
+from benchmarks.robots import run
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     rows = run(8 if options.short else options.scenes, bar)
     if options.json == "-":
-        sys.stdout.write(json.dumps(rows_as_dicts(rows), allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps([asdict(row) for row in rows], allow_nan=False) + "\n")
         return
     head = (
         "conv.",

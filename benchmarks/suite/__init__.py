@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -153,7 +154,7 @@ def lines(case: Case, driven: dict[tuple[str, str], list[Row]]) -> Iterable[Row]
     for name, rows in own.items():
         known = [n for n in (value(r, case.measure, limit) for r in rows) if n is not None]
         successes = sum(bool(r["success"]) for r in rows)
-        apart = _apart(rows, ours, case.measure, limit)
+        apart = metrics.paired(rows, ours, partial(value, name=case.measure, limit=limit))
         yield {
             "scenario": case.name,
             "planner": name,
@@ -186,10 +187,10 @@ def regrets(cases: Sequence[Case], driven: dict[tuple[str, str], list[Row]]) -> 
         for case in alike:
             own = {name: rows for (scenario, name), rows in driven.items() if scenario == case.name}
             limit = case.setup(0).rules.time_limit
-            best = [_time(r, limit) for r in _oracle(own, limit)]
+            best = _oracle(own, limit)
             for name, rows in own.items() if best else ():
-                times = [_time(r, limit) for r in rows]
-                lost.setdefault(name, []).append([t - b for t, b in zip(times, best, strict=True)])
+                behind = metrics.paired(rows, best, partial(_time, limit=limit))
+                lost.setdefault(name, []).append(behind)
         for name, runs in lost.items():
             numbers = np.mean(runs, axis=0).tolist()
             yield {
@@ -220,16 +221,6 @@ def value(row: Row, name: str, limit: float) -> float | None:
 
 def _time(row: Row, limit: float) -> float:
     return limit if row["time"] is None else float(row["time"])
-
-
-def _apart(rows: Sequence[Row], ours: Sequence[Row], name: str, limit: float) -> list[float]:
-    """How much more the runs have of a number than fgplan's on the same seeds."""
-    if len(rows) != len(ours):
-        return []
-    pairs = [
-        (value(r, name, limit), value(o, name, limit)) for r, o in zip(rows, ours, strict=True)
-    ]
-    return [mine - other for mine, other in pairs if mine is not None and other is not None]
 
 
 def beats(ours: Row, theirs: Row) -> bool:

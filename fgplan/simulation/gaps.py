@@ -36,7 +36,8 @@ def moved(robot: Disc, before: Still, body: Body, people: People, dt: float) -> 
     ends = people.positions - body.position
     stayed = (before.present & present)[:, None]
     starts = np.where(stayed, before.positions - robot.position, ends)
-    return _nearest(starts, ends - starts, people.radii, present) - body.radius
+    apart = nearest(starts, ends - starts) - people.radii
+    return float(apart[present].min()) - body.radius
 
 
 def extrapolated(robot: Disc, before: Still, body: Body, people: People, dt: float) -> float:
@@ -46,13 +47,13 @@ def extrapolated(robot: Disc, before: Still, body: Body, people: People, dt: flo
         return np.inf
     starts = before.positions - robot.position
     way = dt * before.velocities - (body.position - robot.position)
-    return _nearest(starts, way, people.radii, before.present) - body.radius
+    apart = nearest(starts, way) - people.radii
+    return float(apart[before.present].min()) - body.radius
 
 
-def _nearest(starts: Array, ways: Array, radii: Array, present: NDArray[np.bool_]) -> float:
-    """Least distance of the segments from the origin, less the radii."""
-    square = np.einsum("ij,ij->i", ways, ways)
-    share = -np.einsum("ij,ij->i", starts, ways) / np.maximum(square, 1e-12)
-    points = starts + np.clip(share, 0.0, 1.0)[:, None] * ways
-    apart = np.hypot(points[:, 0], points[:, 1]) - radii
-    return float(apart[present].min())
+def nearest(starts: Array, ways: Array) -> Array:
+    """Least distance of segments from the origin, by starts and ways (..., 2): shape (...)."""
+    square = np.einsum("...j,...j->...", ways, ways)
+    share = -np.einsum("...j,...j->...", starts, ways) / np.maximum(square, 1e-12)
+    points = starts + np.clip(share, 0.0, 1.0)[..., None] * ways
+    return np.asarray(np.hypot(points[..., 0], points[..., 1]))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgplan.mixture import finite
 from fgplan.simulation.episode import End, Episode
+from fgplan.simulation.gaps import nearest
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -51,8 +53,8 @@ def row(episode: Episode) -> Row:
         "wall_contacts": walls,
         "time": float(episode.times[-1]) if reached else None,
         "path_ratio": length / episode.reference if reached and episode.reference > 0 else None,
-        "min_separation": _finite(apart.min(initial=np.inf)),
-        "min_clearance": _finite(episode.gaps.min(initial=np.inf)),
+        "min_separation": finite(float(apart.min(initial=np.inf))),
+        "min_clearance": finite(float(episode.gaps.min(initial=np.inf))),
         "stopped_fraction": float(stopped.mean()) if len(steps) else 0.0,
         "switches": switches(episode.labels),
         "revisits": sum(max(0, count - 1) for count in episode.entries),
@@ -71,11 +73,7 @@ def separations(episode: Episode) -> Array:
     """Least distance between the centres of robot and anybody during each step, shape (S,) [m],
     when all moved evenly; inf where nobody was there at both ends of it."""
     offset = episode.people - episode.robot[:, None, :2]
-    start, way = offset[:-1], np.diff(offset, axis=0)
-    square = np.einsum("sij,sij->si", way, way)
-    share = -np.einsum("sij,sij->si", start, way) / np.maximum(square, 1e-12)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * way
-    apart = np.hypot(nearest[..., 0], nearest[..., 1])
+    apart = nearest(offset[:-1], np.diff(offset, axis=0))
     return np.asarray(np.where(np.isnan(apart), np.inf, apart).min(axis=1, initial=np.inf))
 
 
@@ -134,24 +132,16 @@ def summary(rows: Sequence[Row]) -> Row:
     return line
 
 
-def paired(rows: Sequence[Row], others: Sequence[Row], name: str) -> tuple[float, float, float]:
-    """Mean difference of a number, rows less others, over the seeds that both have, and its
-    interval."""
-    known = {r["seed"]: r[name] for r in others if r[name] is not None}
-    differences = [
-        float(r[name]) - float(known[r["seed"]])
-        for r in rows
-        if r[name] is not None and r["seed"] in known
-    ]
-    if not differences:
-        return np.nan, np.nan, np.nan
-    return float(np.mean(differences)), *bootstrap(differences)
+def paired(
+    rows: Sequence[Row], others: Sequence[Row], number: Callable[[Row], float | None]
+) -> list[float]:
+    """How much more the rows have of a number than the others, over the seeds at which both have
+    it."""
+    known = {other["seed"]: number(other) for other in others}
+    pairs = [(number(own), known.get(own["seed"])) for own in rows]
+    return [mine - other for mine, other in pairs if mine is not None and other is not None]
 
 
 def begins(flags: NDArray[np.bool_]) -> int:
     """How often a row of flags begins to be true."""
     return int(np.sum(flags & ~np.concatenate([[False], flags[:-1]])))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

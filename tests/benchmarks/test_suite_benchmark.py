@@ -38,7 +38,10 @@ def test_every_case_names_a_file_and_planners_that_there_are():
 def test_the_oracle_takes_the_better_corridor_of_each_seed():
     case = Case("s1_corridors", "time", corridors=(("A", "[]"), ("B", "[]")))
     runs = {"fgplan": [30.0, 31.0], "told A": [25.0, None], "told B": [28.0, 27.0]}
-    driven = {(case.name, name): [_row(t) for t in times] for name, times in runs.items()}
+    driven = {
+        (case.name, name): [_row(t, seed) for seed, t in enumerate(times)]
+        for name, times in runs.items()
+    }
     found = {line["planner"]: line for line in lines(case, driven)}
     assert found["oracle"]["value"] == pytest.approx(26.0)
     assert found["oracle"]["more_than_fgplan"] == pytest.approx(-4.5)
@@ -47,18 +50,28 @@ def test_the_oracle_takes_the_better_corridor_of_each_seed():
     assert not beats(found["fgplan"], found["oracle"])
 
 
+def test_runs_are_compared_with_those_of_their_own_seed():
+    case = Case("s7_doorway_0.8", "time")
+    driven = {
+        (case.name, "fgplan"): [_row(10.0, 0), _row(12.0, 1), _row(14.0, 2)],
+        (case.name, "straight"): [_row(15.0, 2), _row(13.0, 1)],
+    }
+    found = {line["planner"]: line for line in lines(case, driven)}
+    assert found["straight"]["more_than_fgplan"] == pytest.approx(1.0)
+
+
 def test_regret_is_what_is_lost_to_the_oracle_over_all_cases_of_a_file():
     first = Case("s5_aisle", "time", corridors=(("A", "[]"), ("B", "[]")))
     second = Case(
         "s5_aisle", "time", changes=(("world.time_limit", "40.0"),), corridors=first.corridors
     )
     driven = {
-        (first.name, "fgplan"): [_row(20.0), _row(21.0)],
-        (first.name, "told A"): [_row(18.0), _row(19.0)],
-        (first.name, "told B"): [_row(30.0), _row(17.0)],
-        (second.name, "fgplan"): [_row(36.0), _row(None)],
-        (second.name, "told A"): [_row(None), _row(None)],
-        (second.name, "told B"): [_row(30.0), _row(31.0)],
+        (first.name, "fgplan"): [_row(20.0, 0), _row(21.0, 1)],
+        (first.name, "told A"): [_row(18.0, 0), _row(19.0, 1)],
+        (first.name, "told B"): [_row(30.0, 0), _row(17.0, 1)],
+        (second.name, "fgplan"): [_row(36.0, 0), _row(None, 1)],
+        (second.name, "told A"): [_row(None, 0), _row(None, 1)],
+        (second.name, "told B"): [_row(30.0, 0), _row(31.0, 1)],
     }
     found = {row["planner"]: row for row in regrets((first, second), driven)}
     assert found["fgplan"]["value"] == pytest.approx((2 + 6 + 4 + 9) / 4)
@@ -115,9 +128,9 @@ def test_the_hour_knows_how_fast_wheels_may_turn():
         assert len(problems(robot, truth, action, 0.1)) == broken
 
 
-def _row(time):
+def _row(time, seed):
     return {
-        "time": time, "success": time is not None, "collisions": 0, "path_ratio": None,
-        "stopped_fraction": 0.0, "switches": 0, "people_delay": None, "unsafe": 0,
-        "step_ms_p50": 1.0,
+        "seed": seed, "time": time, "success": time is not None, "collisions": 0,
+        "path_ratio": None, "stopped_fraction": 0.0, "switches": 0, "people_delay": None,
+        "unsafe": 0, "step_ms_p50": 1.0,
     }  # fmt: skip
