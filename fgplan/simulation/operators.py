@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fgplan.crowd import heading
 from fgplan.errors import FgplanError, NoRoute
 from fgplan.measuring import Measurement
 from fgplan.routes import find_routes
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 
 STICK = Stick(deadman=None, frame="map", sigma=0.1)
 """How the operators' sticks are read: x of the map is forward, S6 asks for σ = 0.1."""
+FAR = 5.0
+"""How far they want to go where no goal is stated [m]."""
 AHEAD = 0.8
 """How far ahead on their way people look who steer [m]."""
 
@@ -209,9 +212,13 @@ class Names:
 
 
 def goal_of(world: World) -> Array:
-    """Where the operator wants to go: the goal, else straight on."""
-    goal = world.scenario.goal
-    return world.scenario.robot.position + 5.0 if goal is None else np.asarray(goal, dtype=float)
+    """Where the operator wants to go: the goal, else straight on, the way the robot looks or moves,
+    else along x; shape (2,) [m]."""
+    scenario = world.scenario
+    if scenario.goal is not None:
+        return np.asarray(scenario.goal, dtype=float)
+    ahead = heading(scenario)
+    return scenario.robot.position + FAR * np.array([np.cos(ahead), np.sin(ahead)])
 
 
 def _steers(world: World, degrees: float) -> Hand:

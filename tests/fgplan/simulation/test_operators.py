@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.operator import COSTLIER, fork, rooms, send, steer
 from fgplan.errors import FgplanError
+from fgplan.scenario import Robot
 from fgplan.shared_control import JoySample, Stick, write_joy
 from fgplan.simulation.arbitration import BlendingPlanner, TwistMuxPlanner
 from fgplan.simulation.body import Body
@@ -23,6 +24,7 @@ from fgplan.simulation.operators import (
     Steady,
     UnknownOperator,
     WithOperator,
+    goal_of,
     operator_named,
 )
 from fgplan.simulation.peers import Straight
@@ -43,6 +45,21 @@ def test_a_steady_hand_holds_the_stick_for_its_time():
     times = [k for k, items in enumerate(said) if items]
     assert times == list(range(10, 25))
     np.testing.assert_allclose(said[10][0].velocity, [np.cos(0.5), np.sin(0.5)], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("robot", "ahead"),
+    [
+        ({"heading": 0.7, "velocity": np.array([1.0, 0.0])}, 0.7),
+        ({"velocity": np.array([0.0, -1.0])}, -np.pi / 2),
+        ({}, 0.0),
+    ],
+)
+def test_without_a_goal_an_operator_goes_straight_on(robot, ahead):
+    world = fork(0)
+    scenario = world.scenario.replace(goal=None, robot=Robot(np.array([1.0, 2.0]), **robot))
+    offset = goal_of(replace(world, scenario=scenario)) - [1.0, 2.0]
+    np.testing.assert_allclose(offset, 5.0 * np.array([np.cos(ahead), np.sin(ahead)]), atol=1e-12)
 
 
 def test_noise_losses_and_delay_are_what_they_are_called():
