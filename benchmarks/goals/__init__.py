@@ -8,7 +8,7 @@ walls). `fgplan.driving.GoalInference` is told of each message of the stick and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from fgplan import OccupancyGrid, Robot, Scenario
 from fgplan.driving import GoalInference, Observation
 from fgplan.errors import NoRoute
+from fgplan.inference import Progress
 from fgplan.routes import find_routes
 from fgplan.shared_control import Candidate, JoySample, Stick
 from fgplan.timing import path_length
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 PERIOD = 0.2
 """Between two messages of the stick [s]."""

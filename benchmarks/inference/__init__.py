@@ -10,7 +10,7 @@ need optima. Errors are root mean squares over seeds, against a grid or a long r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -19,9 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.inference.cases import Case, Reference, cases, reference
-from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace
-
-Progress = Callable[[str, int, int], None]
+from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Inference, Laplace, Progress
 
 BUDGETS = (0.01, 0.1, 1.0, 10.0, 100.0)
 """[s of CPU]"""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
@@ -18,12 +18,11 @@ from fgplan.assembly import Assembly
 from fgplan.components import distinct
 from fgplan.crowd import believe, seen
 from fgplan.hypotheses import hypothesise
-from fgplan.inference import HMC
+from fgplan.inference import HMC, Progress
 from fgplan.model import Model, Term, Variable, build
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 ROOT = Path(__file__).parents[2]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,11 @@ from factors.gp_prior import gaussian
 from factors.kinematics import SpeedLimit
 from fgplan import Density, GivenPlan, Level, Robot, Scenario, Track, keys
 from fgplan.assembly import Assembly
-from fgplan.inference import Importance, Laplace
+from fgplan.inference import Importance, Laplace, Progress
 from fgplan.model import Model, Term, Variable
 from fgplan.solver import SecondOrder
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 WIDTHS = np.geomspace(1e-3, 10, 13)
 """h [m²]"""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan import OccupancyGrid, Robot, Scenario
+from fgplan.inference import Progress
 from fgplan.shared_control import Waypoint
 from fgplan.simulation.body import Limits
 from fgplan.simulation.episode import Moment, run
@@ -29,7 +30,6 @@ from fgplan.simulation.walkers import Walker, Walkers
 from fgplan.simulation.world import Plain, Rules, World
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 FIRST, LAST = 1.0, 2.5
 """When the stick is taken and released [s]."""

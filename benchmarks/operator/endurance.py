@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from time import process_time
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from fgplan import Level, Robot, Scenario
 from fgplan.driving import GoalInference, Observation
+from fgplan.inference import Progress
 from fgplan.shared_control import Candidate, JoySample, Stick
 
 PERIOD = 0.1
@@ -23,18 +24,14 @@ PARTS = 6
 """Rows that are printed."""
 
 
-def held(
-    minutes: float, progress: Callable[[str, int, int], None] | None = None
-) -> Iterator[dict[str, Any]]:
+def held(minutes: float, progress: Progress | None = None) -> Iterator[dict[str, Any]]:
     """Drive round and round by hand among five candidates; yields a row for each part of the time,
     for plans without a width and with one."""
     for sigma in (0.0, 0.5):
         yield from _held(minutes, sigma, progress)
 
 
-def _held(
-    minutes: float, sigma: float, progress: Callable[[str, int, int], None] | None
-) -> Iterator[dict[str, Any]]:
+def _held(minutes: float, sigma: float, progress: Progress | None) -> Iterator[dict[str, Any]]:
     rng = np.random.default_rng(6)
     angles = 2 * np.pi * np.arange(5) / 5
     candidates = [

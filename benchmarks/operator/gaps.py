@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.operator import FIRST, LAST, Progress, fork, side_of, twins
+from benchmarks.operator import FIRST, LAST, fork, side_of, twins
 from fgplan.conditioning import log_likelihood
 from fgplan.driving import Settings
+from fgplan.inference import Progress
 from fgplan.measuring import Reading
 from fgplan.mixture import Component, Mixture
 from fgplan.shared_control import admit

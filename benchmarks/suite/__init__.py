@@ -9,7 +9,7 @@ aisle is blocked is judged by what they lose to the oracle over all its duration
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from fgplan.inference import Progress
 from fgplan.simulation import metrics
 from fgplan.simulation.batch import Job, run_all
 from fgplan.simulation.file import FromFile
@@ -25,7 +26,6 @@ from fgplan.simulation.file import FromFile
 DATA = Path(__file__).parents[2] / "data" / "simulations"
 LAYERED = ("layered", "layered-global")
 Row = dict[str, Any]
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
