@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fgplan.driving import Observation, Settings
+from fgplan.inference import Progress
 from fgplan.mixture import Action
 from fgplan.scenario import Robot
 from fgplan.simulation.driver import Fgplan
@@ -35,7 +36,6 @@ WARM_UP = 0.1
 """Share of the steps before memory is compared."""
 SLACK = 1e-6
 """Of a speed and a place [m/s, m]; limits have that of the robot's model."""
-Progress = Callable[[str, int, int], None]
 
 
 class Rounds:
@@ -87,16 +87,19 @@ class Watch:
             return
         name = str(decision.outcome)
         self.outcomes[name] = self.outcomes.get(name, 0) + 1
-        found = problems(self.robot, truth, decision.action, self.period)
+        found = problems(self.robot, truth, moment.observation, decision.action, self.period)
         self.broken += [f"{self.count}: {problem}" for problem in found]
 
 
-def problems(robot: Robot, truth: Observation, action: Action, period: float) -> list[str]:
+def problems(
+    robot: Robot, truth: Observation, told: Observation, action: Action, period: float
+) -> list[str]:
     """What is wrong with an action, in words.
 
     Args:
         robot: Its model and limits.
         truth: The robot's state now.
+        told: What the planner knows of it, which may be late: how far it can get since then.
         action: What it is to do.
         period: For so long [s].
     """
@@ -115,10 +118,11 @@ def problems(robot: Robot, truth: Observation, action: Action, period: float) ->
     said = float(np.hypot(action.twist.linear_x, action.twist.linear_y))
     if abs(said - speed) > SLACK:
         found.append(f"twist of {said:.3f} m/s for a velocity of {speed:.3f} m/s")
-    far = float(np.hypot(*(action.position - truth.position)))
-    reach = period * max(robot.max_speed, float(np.hypot(*truth.velocity)))
+    far = float(np.hypot(*(action.position - told.position)))
+    fastest = max(robot.max_speed, float(np.hypot(*told.velocity)))
+    reach = (truth.time - told.time + period) * fastest
     if far > reach + SLACK:
-        found.append(f"next position {far:.3f} m away, {reach:.3f} m can be reached")
+        found.append(f"next position {far:.4f} m away, {reach:.4f} m can be reached")
     return found
 
 

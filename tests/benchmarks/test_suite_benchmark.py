@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_the_short_hour_finds_nothing_wrong(capsys):
         ((0.65, 0.0), (0.085, 0.0), (0.65, 0.0), "acceleration 1.50 m/s² above 1.00 m/s²"),
         ((0.8, 0.2), (0.085, 0.0), (0.8, 0.2), "acceleration 2.00 m/s² above 1.00 m/s²"),
         ((0.9, 0.0), (0.085, 0.0), (0.5, 0.0), "twist of 0.500 m/s for a velocity of 0.900 m/s"),
-        ((0.9, 0.0), (0.2, 0.0), (0.9, 0.0), "next position 0.200 m away"),
+        ((0.9, 0.0), (0.2, 0.0), (0.9, 0.0), "next position 0.2000 m away"),
         ((0.9, 0.0), (np.nan, 0.0), (0.9, 0.0), "not finite"),
         ((0.9, 0.0), (0.085, 0.0), (0.9, np.inf), "not finite"),
     ],
@@ -114,8 +115,18 @@ def test_the_hour_names_what_is_wrong_with_an_action(velocity, position, twist, 
     truth = Observation(0.0, np.zeros(2), np.array([0.8, 0.0]), heading=np.pi / 2)
     told = Twist(*twist, 0.0)
     action = Action("follow", 0.1, np.array(position), np.array(velocity), told, True, "")
-    found = problems(robot, truth, action, 0.1)
+    found = problems(robot, truth, truth, action, 0.1)
     assert found == [] if says is None else says in "; ".join(found)
+
+
+def test_the_hour_asks_of_a_next_position_what_can_be_known_of_it():
+    """Who was told late where the robot is has had longer to get there."""
+    robot, ahead = Robot(np.zeros(2), max_speed=1.0), np.array([1.0, 0.0])
+    truth, late = (Observation(t, np.array([t, 0.0]), ahead) for t in (0.1, 0.0))
+    action = Action("follow", 0.1, np.array([0.1999, 0.0]), ahead, Twist(1.0, 0.0, 0.0), True, "")
+    assert problems(robot, truth, late, action, 0.1) == []
+    action = replace(action, position=np.array([0.21, 0.0]))
+    assert len(problems(robot, truth, late, action, 0.1)) == 1
 
 
 def test_the_hour_knows_how_fast_wheels_may_turn():
@@ -125,7 +136,7 @@ def test_the_hour_knows_how_fast_wheels_may_turn():
     most = robot.model.max_yaw_acceleration * 0.1
     for rate, broken in ((most, 0), (most + 0.1, 1)):
         action = Action("follow", 0.1, still, still, Twist(0.0, 0.0, rate), True, "")
-        assert len(problems(robot, truth, action, 0.1)) == broken
+        assert len(problems(robot, truth, truth, action, 0.1)) == broken
 
 
 def _row(time, seed):
