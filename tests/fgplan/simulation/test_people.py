@@ -144,7 +144,7 @@ def test_rectangles_are_the_occupied_cells(occupied: Any, yaw: float) -> None:
 
 
 def test_a_missing_package_says_how_to_get_it() -> None:
-    with pytest.raises(MissingExtra, match=r"pip install 'fgplan\[sim\]'"):
+    with pytest.raises(MissingExtra, match=r"pip install -e '.\[sim\]'"):
         needed("no_such_package_of_ours")
 
 
