@@ -9,7 +9,6 @@ the planner's own check calls it a contact is counted.
 from __future__ import annotations
 
 import gc
-import resource
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.memory import resident
 from fgplan.driving import Observation, Settings
 from fgplan.inference import Progress
 from fgplan.mixture import Action
@@ -78,7 +78,7 @@ class Watch:
         self.count += 1
         if self.count % max(1, self.steps // 100) == 0:
             gc.collect()
-            self.memory.append(rss())
+            self.memory.append(resident())
             if self.progress is not None:
                 self.progress("steps", self.count, self.steps)
         truth = self.rounds.truth
@@ -126,15 +126,6 @@ def problems(
     return found
 
 
-def rss() -> float:
-    """Memory of this process [MB]."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages * resource.getpagesize() / 2**20
-    except OSError:  # not Linux: the largest so far
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-
-
 def drive(
     steps: int, faults: float = 0.0, seed: int = 0, deadline: float | None = None,
     progress: Progress | None = None,
@@ -159,7 +150,7 @@ def drive(
     watch = Watch(world.scenario.robot, period, steps, rounds, progress)
     maker = Fgplan(settings=Settings(deadline=deadline))
     episode = run(world, maker(world), watch)
-    kept = watch.memory[int(WARM_UP * len(watch.memory)) :] or [rss()]
+    kept = watch.memory[int(WARM_UP * len(watch.memory)) :] or [resident()]
     return {
         "steps": watch.count,
         "faults": faults,

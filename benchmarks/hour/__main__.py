@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
+import argparse
+import json
+import sys
+from collections.abc import Sequence
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
-
-import argparse  # noqa: E402
-import json  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
-
-from benchmarks.hour import drive  # noqa: E402
-from fgplan.terminal import progress  # noqa: E402
+from benchmarks.hour import drive
+from fgplan.terminal import progress
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -24,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--deadline", type=float, help="of a plan [s]; default: none")
     parser.add_argument("--seed", type=int, default=0, help="of the world")
     parser.add_argument("--short", action="store_true", help="20 steps")
-    parser.add_argument("--json", metavar="-", help="- writes JSON to standard output")
+    parser.add_argument("--json", choices=["-"], help="- writes JSON to standard output")
     options = parser.parse_args(arguments)
     steps = 20 if options.short else options.steps
     rows = []

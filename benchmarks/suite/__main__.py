@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import os
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
-
-import argparse  # noqa: E402
-import json  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
-
-from benchmarks.suite import SHORT, SUITE, beats, drive, lines, regrets, spoilt  # noqa: E402
-from fgplan.simulation.batch import local  # noqa: E402
-from fgplan.terminal import progress  # noqa: E402
+from benchmarks.suite import SHORT, SUITE, beats, drive, lines, regrets, spoilt
+from fgplan.simulation.batch import local
+from fgplan.terminal import progress
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -29,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--store", type=Path, help="finished runs, as `fgplan simulate` keeps them")
     parser.add_argument("--workers", type=int, default=1, help="runs side by side")
     parser.add_argument("--short", action="store_true", help="one doorway, two seeds")
-    parser.add_argument("--json", metavar="-", help="- writes JSON to standard output")
+    parser.add_argument("--json", choices=["-"], help="- writes JSON to standard output")
     options = parser.parse_args(arguments)
     cases, seeds = (SHORT, range(2)) if options.short else (SUITE, range(options.seeds))
     if options.only:

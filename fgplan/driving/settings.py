@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from fgplan import selection
 from fgplan.driving.guard import Guard
 from fgplan.driving.intake import Intake
@@ -42,6 +44,9 @@ class Settings:
         solver: Of each plan; there will be another one in a moment, so a thousandth of a nat is
             near enough.
         select, inference: As `fgplan.plan` takes them.
+
+    Raises:
+        ValueError: a time, a distance or a cost makes no sense.
     """
 
     period: float = 0.1
@@ -63,3 +68,18 @@ class Settings:
     solver: Solver = SecondOrder(max_iterations=30, tolerance=1e-3, margin=0.0)  # noqa: RUF009
     select: selection.Rule = selection.height
     inference: Inference = field(default_factory=MAP)
+
+    def __post_init__(self) -> None:
+        above = {"period": self.period, "goal_tolerance": self.goal_tolerance, "stall": self.stall}
+        if self.deadline is not None:
+            above["deadline"] = self.deadline
+        for name, value in above.items():
+            if not value > 0:
+                raise ValueError(f"{name} must be above 0, got {value}")
+        for name in ("commitment", "deliberation", "wait", "blind"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 or above, got {getattr(self, name)}")
+        if not np.isfinite(self.period):
+            raise ValueError(f"period must be finite, got {self.period}")
+        if not 0 <= self.lag <= 1:
+            raise ValueError(f"lag is a share of a period, from 0 to 1, got {self.lag}")

@@ -546,3 +546,16 @@ def test_a_route_is_left_for_a_better_one_not_for_a_clear_command(grade, tier, e
 def test_who_only_gets_out_of_the_way_takes_no_other_route(tier, known, expected):
     # Seen to fail without it: in S5 the route flipped twice while somebody was dodged.
     assert taken("B, waiting", tier, "A", known) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("period", 0.0), ("period", -0.1), ("period", np.nan), ("period", np.inf),
+        ("deadline", 0.0), ("deadline", np.nan), ("goal_tolerance", -1.0), ("lag", -5.0),
+        ("commitment", -1.0), ("blind", np.nan), ("stall", 0.0),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=f"^{name} .* got {value}"):
+        Settings(**{name: value})
