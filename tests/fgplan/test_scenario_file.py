@@ -329,7 +329,7 @@ def test_data_arrives(tmp_path: Path) -> None:
         ("sigma = 0.5", "sigma = -0.5", "data[0].covariance", "positive definite"),
         ("sigma = 0.5", "", "data[0]", "either sigma or covariance"),
         ("sigma = 0.5", "sigma = 1\nvelocity = [1, 1]", "data[0]", "either position or velocity"),
-        ("time = 3.0", "time = nan", "data[0].time", "finite time"),
+        ("time = 3.0", "time = nan", "data[0].time", "time in seconds"),
         ("time = 1\n", "", "data[1].time", "no time"),
         ("[4, 2.5]\ntime", "[4, inf]\ntime", "data[0]", "finite numbers"),
         ('on = "way"', 'on = "why"', "data[2].on", "'way'"),

@@ -155,7 +155,7 @@ def test_without_the_goal_the_frame_of_the_map_does_not_matter():
         (place(np.inf, 0.0), "finite numbers"),
         (Waypoint(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]])), "positive definite"),
         (place(1.0, 1.0, on="strategy"), "is not measured"),
-        (Readings((Reading(np.nan, np.zeros(2), np.eye(2)),)), "finite time"),
+        (Readings((Reading(np.nan, np.zeros(2), np.eye(2)),)), "time in seconds"),
         ("left, please", "measurement"),
     ],
 )
