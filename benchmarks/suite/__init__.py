@@ -133,11 +133,14 @@ def drive(
     for case in cases:
         everybody = ("fgplan", *LAYERED, *case.without)
         for name in everybody if planners is None else planners:
-            jobs[case.name, name] = [Job(case.setup, case.name, name, s) for s in seeds]
+            setup = case.setup
+            jobs[case.name, name] = [Job(setup, case.name, name, s, setup.version) for s in seeds]
         for corridor, path in case.corridors if planners is None else ():
             made = case.told(corridor, path)
             told = f"{case.name} told {corridor}"
-            jobs[case.name, f"told {corridor}"] = [Job(made, told, "fgplan", s) for s in seeds]
+            jobs[case.name, f"told {corridor}"] = [
+                Job(made, told, "fgplan", s, made.version) for s in seeds
+            ]
     flat = [job for every in jobs.values() for job in every]
     rows = {r["key"]: r for r in run_all(flat, executor, store, progress=progress)}
     return {key: [rows[job.key] for job in every] for key, every in jobs.items()}

@@ -55,12 +55,14 @@ class Job:
         scenario: Name of the setup in tables.
         planner: By name.
         seed: Of the world.
+        version: Of the setup: a run of another one by the same key is not this one. "" is of any.
     """
 
     setup: Setup
     scenario: str
     planner: str
     seed: int
+    version: str = ""
 
     @property
     def key(self) -> str:
@@ -77,6 +79,7 @@ def play(job: Job, measure: Measure = metrics.row, store: Path | None = None) ->
         "scenario": job.scenario,
         "planner": job.planner,
         "seed": job.seed,
+        "version": job.version,
         **measure(episode),
     }
     if store is not None:
@@ -102,7 +105,7 @@ def run_all(
 
     Raises:
         SameKey: two jobs have the same key; nothing was run.
-        BadStore: the file cannot be read.
+        BadStore: the file cannot be read, or a run in it is of another version of its world.
     """
     twice = [key for key, count in Counter(job.key for job in jobs).items() if count > 1]
     if twice:
@@ -111,6 +114,13 @@ def run_all(
             "scenario, planner and seed: name each planner once, and give files other names"
         )
     rows = {} if store is None else read(store, mend=True)
+    for job in jobs:
+        before = rows.get(job.key, {}).get("version", "")
+        if job.version and before and job.version != before:
+            raise BadStore(
+                f"{store}: run {job.key!r} is of another version of its world, {before}, than that "
+                f"of now, {job.version}; name a new file, or put the world back as it was"
+            )
     waiting = [job for job in jobs if job.key not in rows]
     task = partial(play, measure=measure, store=store)
     done = map(task, waiting) if executor is None else executor.map(task, waiting)

@@ -98,7 +98,7 @@ def simulate(
                 maker(world)
         every = range(seed_offset, seed_offset + seeds)
         jobs = [
-            Job(setup, setup.name, name, seed)
+            Job(setup, setup.name, name, seed, setup.version)
             for setup in setups for name in planner for seed in every
         ]  # fmt: skip
         rows = _run(jobs, metrics.row, store, workers, scheduler)

@@ -11,6 +11,7 @@ import re
 import tomllib
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,11 @@ class FromFile:
     def name(self) -> str:
         """The file's, with the changes."""
         return " ".join([self.path.stem, *(f"{key}={value}" for key, value in self.changes)])
+
+    @property
+    def version(self) -> str:
+        """Changes with what the file says."""
+        return sha256(self.path.read_bytes()).hexdigest()[:12]
 
     def check(self) -> None:
         """Read the file.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,17 @@ def jobs(setup: Any, count: int = 4) -> list[Job]:
 
 def without_times(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.items() if k not in TIMES} for row in rows]
+
+
+def test_a_run_of_another_version_of_its_world_is_not_taken_for_this_one(tmp_path):
+    store = tmp_path / "runs.jsonl"
+    of = [replace(job, version="1") for job in jobs(CrowdNav(), 1)]
+    rows = run_all(of, store=store)
+    assert run_all(of, store=store) == rows
+    before = store.read_bytes()
+    with pytest.raises(BadStore, match=r"runs\.jsonl: run 'circle straight 0' .*, 1, .* now, 2;"):
+        run_all([replace(job, version="2") for job in of], store=store)
+    assert store.read_bytes() == before
 
 
 def test_side_by_side_is_the_same_as_one_after_the_other() -> None:
