@@ -118,13 +118,17 @@ class Unplanned:
 
 
 def _driven(memory: Memory, since: float) -> tuple[Scenario, Trajectory | None]:
-    """Where what is driven has brought the robot since its last command [s], and what is left of
-    it; where nothing was driven yet, what was known at first."""
+    """Where what is driven has brought the robot since its last command [s], no farther than it can
+    get, and what is left of it; where nothing was driven yet, what was known at first."""
     scenario = memory.scenario
     if memory.trajectory is None:
         return scenario, None
     ahead = shifted(memory.trajectory, since, scenario.density.times)
-    robot = at_start_of(ahead, scenario.robot)
+    before, robot = scenario.robot, at_start_of(ahead, scenario.robot)
+    moved = robot.position - before.position
+    far = since * max(before.max_speed, float(np.linalg.norm(before.velocity)))
+    share = min(1.0, far / max(float(np.linalg.norm(moved)), 1e-9))
+    robot = replace(robot, position=before.position + share * moved)
     return scenario.replace(robot=robot, now=memory.started + since), ahead
 
 
