@@ -70,6 +70,16 @@ class Belief:
         """Number of people n."""
         return len(self.names)
 
+    @classmethod
+    def of_axes(
+        cls, names: tuple[str, ...], mean: Array, spread: Array, radii: Array, Qc: float
+    ) -> Belief:
+        """Of people both of whose axes have one covariance, pp, pv and vv, rows of (n, 3)."""
+        pp, pv, vv = spread.T
+        blocks = np.stack([pp, pv, pv, vv], axis=-1).reshape(-1, 2, 2)
+        covariance = np.einsum("mij,kl->mikjl", blocks, np.eye(2)).reshape(-1, 4, 4)
+        return cls(names, mean, covariance, radii, Qc)
+
     def select(self, index: NDArray[np.intp]) -> Belief:
         """The belief about some of the people."""
         return Belief(
@@ -166,11 +176,10 @@ def believe(
         pp = pp + step * (2 * pv + step * vv) + q_pp[:, k]
         pv = pv + step * vv + q_pv[:, k]
         vv = vv + q_vv[:, k]
-    blocks = np.stack([pp, pv, pv, vv], -1).reshape(count, 2, 2)
-    return Belief(
+    return Belief.of_axes(
         names=tuple(track.identity for track in tracks),
         mean=np.hstack([p, v]),
-        covariance=_kron(blocks, np.eye(2)),
+        spread=np.stack([pp, pv, vv], axis=-1),
         radii=np.array([track.radius for track in tracks], dtype=float),
         Qc=float(Qc),
     )
@@ -268,8 +277,3 @@ def _padded(tracks: Sequence[Track], now: float) -> tuple[Array, Array]:
                 f"{track.identity!r} was seen at {times[i, -1]} s, after now = {now} s"
             )
     return times, positions
-
-
-def _kron(blocks: Array, eye: Array) -> Array:
-    """Kronecker product of each (m, 2, 2) block with the 2x2 identity, shape (m, 4, 4)."""
-    return np.asarray(np.einsum("mij,kl->mikjl", blocks, eye).reshape(len(blocks), 4, 4))

@@ -25,6 +25,7 @@ from fgplan.labels import place, short
 from fgplan.legend import LONGEST, colours_of, draw_bars, draw_legend, is_narrow
 from fgplan.mixture import Component, Mixture
 from fgplan.scenario import Scenario, Track
+from fgplan.timing import arc_length
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -321,6 +322,6 @@ def _fine(trajectory: Trajectory) -> Array:
 
 def _resampled(path: Array) -> Array:
     """The polyline (N, 2) with 60 points at equal distances."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    along = arc_length(path)
     at = np.linspace(0.0, along[-1], 60)
     return np.column_stack([np.interp(at, along, path[:, i]) for i in range(2)])

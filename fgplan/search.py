@@ -347,9 +347,8 @@ def _bound(assembly: Assembly, i: int) -> float:
     """No optimum of a hypothesis has a lower energy: potentials are never negative, and what is
     left is quadratic."""
     which = np.array([i])
-    diagonal, upper = assembly.linear_hessian(which)
+    diagonal, upper = assembly.held_hessian(which)
     gradient = np.where(assembly.free, assembly.gradient[i], 0.0)
-    assembly.hold_fixed(diagonal, upper)
     factor = factorize(diagonal[0], upper[0])
     if factor is None:
         return -np.inf

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.roadmap import COMFORT, Roadmap
+from fgplan.timing import arc_length
 
 Array = NDArray[np.float64]
 Sight = Callable[[Array, Array], NDArray[np.bool_]]
@@ -108,7 +109,7 @@ def _resampled(band: Array, anchor: Array) -> Array:
 
 
 def _shares(path: Array) -> Array:
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    length = arc_length(path)
     return np.asarray(length / max(length[-1], 1e-12))
 
 

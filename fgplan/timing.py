@@ -154,6 +154,12 @@ def travel_time(
     return speed_law(length, speed, acceleration, initial_speed).duration
 
 
+def arc_length(path: Any) -> Array:
+    """From the start of a polyline (N, 2) to each of its vertices, shape (N,) [m]."""
+    steps = np.diff(np.asarray(path, dtype=float), axis=0)
+    return np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+
+
 def path_length(path: Any) -> float:
     """Of a polyline (N, 2) [m]."""
     steps = np.diff(np.asarray(path, dtype=float), axis=0)

@@ -21,7 +21,7 @@ from fgplan.errors import NoRoute
 from fgplan.inference import Progress
 from fgplan.routes import find_routes
 from fgplan.shared_control import Candidate, JoySample, Stick
-from fgplan.timing import path_length
+from fgplan.timing import arc_length, path_length
 
 Array = NDArray[np.float64]
 
@@ -209,7 +209,7 @@ def find_rest(way: Array, position: Array) -> Array:
 
 def towards(way: Array, position: Array, ahead: float = 0.8) -> Array:
     """Unit vector to the point of a way that is so far ahead [m]."""
-    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+    s = arc_length(way)
     at = np.linspace(0, s[-1], 2 + int(s[-1] / 0.05))
     points = np.column_stack([np.interp(at, s, way[:, i]) for i in (0, 1)])
     nearest = int(np.argmin(np.linalg.norm(points - position, axis=1)))

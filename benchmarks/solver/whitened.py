@@ -10,6 +10,7 @@ from scipy.linalg import cholesky_banded, lapack
 from scipy.optimize import minimize
 
 from fgplan.assembly import Assembly
+from fgplan.block_tridiagonal import Chains
 
 Array = NDArray[np.float64]
 
@@ -27,9 +28,8 @@ class Whitening:
     which: int
 
     def __post_init__(self) -> None:
-        diagonal, upper = self.assembly.linear_hessian(np.array([self.which]))
-        self.assembly.hold_fixed(diagonal, upper)
-        object.__setattr__(self, "_L", cholesky_banded(_band(diagonal[0], upper[0]), lower=True))
+        chain = Chains.of(*self.assembly.held_hessian(np.array([self.which])))
+        object.__setattr__(self, "_L", cholesky_banded(chain.data[0].T, lower=True))
 
     def state(self, y: Array) -> Array:
         """The state (S, D) at y (S·D,)."""
@@ -72,16 +72,3 @@ def minimise(assembly: Assembly, start: Array, which: int, most: int = 1000) -> 
     options = {"maxiter": most, "maxfun": 2 * most, "ftol": 1e-12, "gtol": 1e-4, "maxcor": 20}
     found = minimize(energy, white.coordinates(start), jac=True, method="L-BFGS-B", options=options)
     return white.state(found.x), int(found.nfev)
-
-
-def _band(diagonal: Array, upper: Array) -> Array:
-    """LAPACK's lower band of a symmetric block-tridiagonal matrix, shape (2D, S·D)."""
-    S, D, _ = diagonal.shape
-    band = np.zeros((2 * D, S * D))
-    for row in range(D):
-        for column in range(row + 1):
-            band[row - column, column::D] = diagonal[:, row, column]
-    for row in range(D):
-        for column in range(D):
-            band[D + row - column, column : (S - 1) * D : D] = upper[:, column, row]
-    return band

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.crowd import Belief
-from fgplan.driving.routing import Way, arc_length, densified
+from fgplan.driving.routing import Way, densified
 from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import Scenario
+from fgplan.timing import arc_length
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

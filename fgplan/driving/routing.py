@@ -24,7 +24,7 @@ from fgplan.roadmap import roadmap
 from fgplan.routes import find_routes, label
 from fgplan.safety import allowed
 from fgplan.scenario import Scenario
-from fgplan.timing import path_length
+from fgplan.timing import arc_length, path_length
 
 Array = NDArray[np.float64]
 
@@ -253,11 +253,6 @@ def densified(path: Array, spacing: float = SPACING) -> Array:
     s = arc_length(path)
     at = np.union1d(s, np.linspace(0.0, s[-1], 1 + int(np.ceil(s[-1] / spacing))))
     return np.column_stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])])
-
-
-def arc_length(path: Array) -> Array:
-    """From the start of a polyline (N, 2) to each of its vertices, shape (N,) [m]."""
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
 
 
 def simplified(path: Array) -> Array:

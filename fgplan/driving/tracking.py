@@ -76,10 +76,7 @@ class People:
 
     def belief(self, Qc: float) -> Belief:
         """p(f_0 | z^f) for the density."""
-        pp, pv, vv = self.spread.T
-        blocks = np.stack([pp, pv, pv, vv], -1).reshape(-1, 2, 2)
-        covariance = np.einsum("mij,kl->mikjl", blocks, np.eye(2)).reshape(-1, 4, 4)
-        return Belief(self.names, self.mean, covariance, self.radii, Qc)
+        return Belief.of_axes(self.names, self.mean, self.spread, self.radii, Qc)
 
     def keep(self, rows: Mask) -> People:
         """Some of them."""

@@ -21,6 +21,7 @@ from fgplan.hypothesis import Hypothesis
 from fgplan.occupancy import OccupancyGrid
 from fgplan.roadmap import Roadmap, roadmap
 from fgplan.scenario import Scenario
+from fgplan.timing import arc_length
 
 Array = NDArray[np.float64]
 Kind = Literal["given", "door", "end", "corner"]
@@ -122,7 +123,7 @@ def _narrows(grid: OccupancyGrid, road: Roadmap, length: Array) -> list[tuple[Ki
         if len(path) < 3 or not np.isfinite(length[chain[0]]):
             continue
         room = grid.clearance(path, 0.0)
-        s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+        s = arc_length(path)
         width = min(DOOR * room.max(), SAME_WIDTH * room.min() + grid.resolution)
         narrow = np.concatenate([[False], room < width, [False]])
         edges = np.flatnonzero(np.diff(narrow.astype(int)))

@@ -27,7 +27,7 @@ from fgplan.occupancy import OccupancyGrid
 from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
-from fgplan.timing import path_length, timed
+from fgplan.timing import arc_length, path_length, timed
 from fgplan.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -161,7 +161,7 @@ def stick_velocity(scenario: Scenario) -> Array | None:
 
 def _passes(path: Array, places: Sequence[Reading]) -> bool:
     """Whether a path comes within one standard deviation of every place."""
-    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    s = arc_length(path)
     at = np.linspace(0.0, s[-1], 2 + int(s[-1] / 0.05))
     points = np.column_stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])])
     for place in places:
@@ -177,7 +177,7 @@ def _leads(scenario: Scenario, stick: Array, leads: Sequence[Lead]) -> bool:
 
 
 def _angle(scenario: Scenario, stick: Array, lead: Lead) -> float:
-    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(lead.path, axis=0), axis=1)))
+    s = arc_length(lead.path)
     ahead = min(scenario.robot.preferred_speed, float(s[-1]))
     step = np.array([np.interp(ahead, s, lead.path[:, i]) for i in (0, 1)]) - lead.path[0]
     length = float(np.hypot(*step) * np.hypot(*stick))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgplan.measuring import Reading
 from fgplan.robots import Piece
+from fgplan.timing import arc_length
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class DrawnPath:
     def _places(self, path: Array) -> Array:
         if not np.all(np.isfinite(path)) or len(path) < 2:
             return path  # the rules of a scenario name what is wrong with it
-        s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+        s = arc_length(path)
         count = max(1, round(float(s[-1]) / self.spacing))
         at = np.linspace(0.0, s[-1], count + 1)[1:]
         return np.column_stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])])

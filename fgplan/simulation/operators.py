@@ -26,6 +26,7 @@ from fgplan.shared_control import JoySample, Joystick, Stick, Waypoint, read_joy
 from fgplan.simulation.body import Body
 from fgplan.simulation.people import People
 from fgplan.simulation.world import Operator, Setup, World
+from fgplan.timing import arc_length
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,7 @@ class GoalDirected:
             way = find_routes(self._grid, body.position, self.goal, self._radius, 1)[0].path
         except NoRoute:
             return None
-        s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+        s = arc_length(way)
         at = min(AHEAD, float(s[-1]))
         target = np.array([np.interp(at, s, way[:, i]) for i in (0, 1)])
         return _towards(target - body.position, self.speed)
