@@ -1,7 +1,8 @@
 """Map files of ROS map_server and Nav2: a YAML file that names an image.
 
 The rules are those of map_server's `map_io`: https://docs.nav2.org (Map Server) and
-http://wiki.ros.org/map_server.
+http://wiki.ros.org/map_server. A pixel that is not opaque is unknown in mode trinary as in scale,
+where Nav2 averages its alpha with the colours.
 """
 
 from __future__ import annotations

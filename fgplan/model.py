@@ -359,11 +359,11 @@ def _obstacles(scenario: Scenario) -> Iterable[Term]:
     shape = (field, robot.radius, d.obstacle_margin, d.obstacle_sigma)
     at_states = Obstacle(*shape, weight=d.exponent, dim=robot.model.dim)
     yield Term("obstacle", at_states, (("robot", 0),), range(1, d.steps + 1))
-    between = int(np.ceil(robot.max_speed * d.dt / OBSTACLE_SPACING)) - 1
-    if between > 0:
-        checks = InterpolatedObstacle(*shape, d.dt, between, weight=d.exponent)
-        on = (("robot", 0), ("robot", 1))
-        yield Term("obstacle between", robot.model.on_plane(checks), on, range(d.steps))
+    # One at least, however short a step is: what a wall costs must not depend on dt.
+    between = max(1, int(np.ceil(robot.max_speed * d.dt / OBSTACLE_SPACING)) - 1)
+    checks = InterpolatedObstacle(*shape, d.dt, between, weight=d.exponent)
+    on = (("robot", 0), ("robot", 1))
+    yield Term("obstacle between", robot.model.on_plane(checks), on, range(d.steps))
 
 
 def _limits(scenario: Scenario) -> Iterable[Term]:

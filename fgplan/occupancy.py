@@ -289,12 +289,12 @@ def _rasterise(vertices: Array, occupied: NDArray[np.bool_]) -> None:
         nx, ny = b[1] - a[1], a[0] - b[0]
         apart = np.abs(nx * (c - a[0]) + ny * (r - a[1]))
         occupied[r0:r1, c0:c1] |= apart <= 0.5 * (abs(nx) + abs(ny)) + 1e-9
-    # Cells whose centre is inside (even-odd rule along each row of centres).
+    # Cells whose centre is inside: the outline winds around it, however often.
     y = np.arange(rows) + 0.5
     x = np.arange(cols) + 0.5
-    inside = np.zeros_like(occupied)
+    winding = np.zeros(occupied.shape, dtype=np.intp)
     for a, b in zip(vertices, ends, strict=True):
         crossed = (a[1] > y) != (b[1] > y)
         at = a[0] + (y[crossed] - a[1]) * (b[0] - a[0]) / (b[1] - a[1])
-        inside[crossed] ^= x > at[:, None]
-    occupied |= inside
+        winding[crossed] += np.where(x > at[:, None], np.sign(b[1] - a[1]).astype(int), 0)
+    occupied |= winding != 0

@@ -143,7 +143,12 @@ def _map(
     if not 1e-9 < table.resolution < 1e9 and table.resolution > 0:
         mend = "is no size of a cell; give metres, such as 0.05"
         return None, [Mistake("map.resolution", table.resolution, mend)]
-    if (xmax - xmin) * (ymax - ymin) > MOST_CELLS * table.resolution**2 > 0:
+    sides = np.array([xmax - xmin, ymax - ymin])
+    if (
+        table.resolution > 0
+        and np.all(sides > 0)
+        and not (np.prod(np.ceil(sides / table.resolution)) <= MOST_CELLS)
+    ):
         mend = f"makes a map of more than {MOST_CELLS:g} cells; give a coarser one"
         return None, [Mistake("map.resolution", table.resolution, mend)]
     try:

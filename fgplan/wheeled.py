@@ -290,8 +290,11 @@ class _Wheeled(ABC):
         sigma = np.sqrt(dt * np.array([density.Qc_robot, self._yaw[2]]))
 
         def draw(mean: Array, low: Array, high: Array, spread: float) -> Array:
-            a, b = ndtr((low - mean) / spread), ndtr((high - mean) / spread)
-            drawn = mean + spread * ndtri(a + (b - a) * rng.random(len(mean)))
+            # Above the mean by the mirror image: next to 1 a probability has no digits left.
+            sign = np.where(low > mean, -1.0, 1.0)
+            one, other = sign * (low - mean) / spread, sign * (high - mean) / spread
+            a, b = ndtr(np.minimum(one, other)), ndtr(np.maximum(one, other))
+            drawn = mean + sign * spread * ndtri(a + (b - a) * rng.random(len(mean)))
             return np.asarray(np.clip(drawn, low, high))
 
         states = np.empty((count, density.steps + 1, 5))

@@ -14,7 +14,7 @@ from fgplan.inference.bridge import evidence, fitted
 from fgplan.inference.diagnostics import effective_sample_size, split_rhat, standard_error
 from fgplan.inference.gaussian import Blend
 from fgplan.inference.importance import deeper
-from fgplan.inference.modes import proposal
+from fgplan.inference.modes import modes, proposal
 from fgplan.inference.posterior import Posterior
 from fgplan.solver import Solution
 
@@ -43,7 +43,7 @@ class Target:
     def of(cls, assembly: Assembly, which: int, optima: Sequence[Solution]) -> Target:
         """With the usual proposal."""
         posterior = Posterior(assembly, which, optima)
-        around = proposal(posterior, 30.0, 0.1)
+        around = proposal(posterior, modes(posterior), 30.0, 0.1)
         return cls(posterior, around, around)
 
     def adapted(self, seen: Sequence[Array]) -> Target:
@@ -152,7 +152,7 @@ class Recorder:
             weights=np.full(C * n, 1 / (C * n)),
             energies=energies.ravel(),
             log_evidence=bridged.log_z if possible else None,
-            log_evidence_error=bridged.error if possible and connected else None,
+            log_evidence_error=bridged.error if possible and connected and ess >= LOW_ESS else None,
             diagnostics=Diagnostics(
                 draws=C * n,
                 chains=C,

@@ -65,6 +65,8 @@ class HMC:
                 "chains must be at least 2, draws 8, warmup 0 and most_leaps 1, got "
                 f"{self.chains}, {self.draws}, {self.warmup}, {self.most_leaps}"
             )
+        if self.jump_every < 0:
+            raise ValueError(f"jump_every must be 0 or above, got {self.jump_every}")
         if not (0 < self.target < 1 and self.length > 0):
             raise ValueError(
                 "target must lie in (0, 1) and length be positive, got "

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ from fgplan.inference.base import (
     tell,
 )
 from fgplan.inference.diagnostics import kish, pareto_shape
-from fgplan.inference.gaussian import Blend, blend, linear, prior
-from fgplan.inference.modes import proposal
+from fgplan.inference.gaussian import Blend, Gaussian, blend, linear, prior
+from fgplan.inference.modes import modes, proposal
 from fgplan.inference.posterior import Posterior
+from fgplan.model import Term
 from fgplan.solver import Solution
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ class Importance:
         batch: Draws evaluated at once.
 
     Raises:
-        ValueError: fewer than 2 draws, or a share or ν out of range.
+        ValueError: fewer than 2 draws, a share or ν out of range, or no source has that name.
 
     Reference:
         Trautman, arXiv 1611.08767, section 1.1; Owen and Zhou, JASA 2000.
@@ -69,6 +70,9 @@ class Importance:
     name: str = "importance"
 
     def __post_init__(self) -> None:
+        if self.source not in get_args(Source):
+            names = ", ".join(map(repr, get_args(Source)))
+            raise ValueError(f"source must be one of {names}, got {self.source!r}")
         if self.draws < 2 or self.batch < 1:
             raise ValueError(f"draws and batch must be positive, got {self.draws}, {self.batch}")
         if not (0 < self.defensive < 1 and self.dof > 0):
@@ -97,7 +101,7 @@ class Importance:
     def _proposal(self, posterior: Posterior) -> Blend:
         """What is drawn from, with a density."""
         if self.source == "laplace":
-            return proposal(posterior, self.dof, self.defensive)
+            return proposal(posterior, modes(posterior), self.dof, self.defensive)
         of = linear if self.source == "linear" else prior
         return blend([(of(posterior.assembly, posterior.which), 1.0, float("inf"))])
 
@@ -143,6 +147,7 @@ def _kinematic(
     robot = model.columns["robot"]
     only_robot = model.reference.shape[1] == robot.stop - robot.start
     others = None if only_robot else prior(assembly, which, robot=False)
+    told = 0.0 if others is None else _told(assembly, which, others)
     X = np.empty((draws, *model.reference.shape))
     log_psi, energies = np.empty(draws), np.empty(draws)
     for at in range(0, draws, batch):
@@ -152,18 +157,35 @@ def _kinematic(
             X[rows] = others.draw(rng, count)
         X[rows, :, robot] = model.kinematic(count, rng)
         energies[rows] = posterior.energy(X[rows])
-        log_psi[rows] = -_potentials(assembly, which, X[rows])
+        log_psi[rows] = told - _potentials(assembly, which, X[rows])
         tell(progress, what, rows.stop, draws)
     return X, log_psi, energies
 
 
+def _told(assembly: Assembly, which: int, others: Gaussian) -> float:
+    """log of the integral of the densities of the others, which they are drawn from: what data on
+    levels says of the hypothesis; 0 where there is none."""
+    found, at = others.log_volume, others.mean[None]
+    for wired, term in assembly.wired(which):
+        if _of_others(term):
+            energy = float(wired.residual.energy(*wired.variables(at)).sum())
+            found += term.residual.log_normalizer * len(term.steps) - energy
+    return found
+
+
+def _of_others(term: Term) -> bool:
+    """Whether it is a density, and not of the robot: data on the robot is a density, but none it
+    was drawn from."""
+    of_robot = all(name == "robot" for name, _ in term.variables)
+    return bool(term.residual.log_normalizer) and not of_robot and not term.robots_own
+
+
 def _potentials(assembly: Assembly, which: int, X: Array) -> Array:
     """Energy of what the draws have not seen: all but the robot's own and the densities of the
-    others; data on the robot is a density, but none it was drawn from. Shape (N,)."""
+    others. Shape (N,)."""
     total = np.zeros(len(X))
     for wired, term in assembly.wired(which):
-        of_robot = all(name == "robot" for name, _ in term.variables)
-        if not term.robots_own and (of_robot or not term.residual.log_normalizer):
+        if not term.robots_own and not _of_others(term):
             total += wired.residual.energy(*wired.variables(X)).sum(-1)
     return total
 

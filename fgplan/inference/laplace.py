@@ -13,7 +13,7 @@ from fgplan.assembly import Assembly
 from fgplan.inference.base import HEAVY_TAIL, Diagnostics, Inferred, Progress, Seed
 from fgplan.inference.diagnostics import kish, pareto_shape
 from fgplan.inference.importance import log_mean, weigh
-from fgplan.inference.modes import Limits, modes, proposal
+from fgplan.inference.modes import Limits, Mode, modes, proposal
 from fgplan.inference.posterior import Posterior
 from fgplan.solver import Solution
 
@@ -88,7 +88,7 @@ class Laplace:
         log_z = float(np.logaddexp.reduce(log_mass))
         error, numbers = None, Diagnostics(draws=len(found))
         if self.check:
-            error, numbers, doubts = self._checked(posterior, log_z, seed, progress)
+            error, numbers, doubts = self._checked(posterior, found, log_z, seed, progress)
             warnings += doubts
         return Inferred(
             method=self.name,
@@ -106,13 +106,14 @@ class Laplace:
     def _checked(
         self,
         posterior: Posterior,
+        found: Sequence[Mode],
         log_z: float,
         seed: Seed,
         progress: Progress | None,
     ) -> tuple[float | None, Diagnostics, list[str]]:
         """Error, numbers and warnings from importance sampling around the same Gaussians."""
         rng = np.random.default_rng(seed)
-        q = proposal(posterior, dof=30.0, defensive=0.1)
+        q = proposal(posterior, found, dof=30.0, defensive=0.1)
         _, log_weights, _ = weigh(posterior, q, self.check, rng, progress=progress, what=self.name)
         sampled, sampling_error = log_mean(log_weights)
         ess, tail = kish(log_weights), pareto_shape(log_weights)

@@ -43,7 +43,7 @@ class EllipticalSlice:
         jump_every: 0 for no jumps.
 
     Raises:
-        ValueError: a count out of range.
+        ValueError: a count out of range, or no reference has that name.
 
     Reference:
         Murray, Adams, MacKay, AISTATS 2010.
@@ -63,6 +63,10 @@ class EllipticalSlice:
                 "chains must be at least 2, draws 8, warmup 0 and thin 1, got "
                 f"{self.chains}, {self.draws}, {self.warmup}, {self.thin}"
             )
+        if self.reference not in ("linear", "prior"):
+            raise ValueError(f"reference must be 'linear' or 'prior', got {self.reference!r}")
+        if self.jump_every < 0:
+            raise ValueError(f"jump_every must be 0 or above, got {self.jump_every}")
 
     def infer(
         self,

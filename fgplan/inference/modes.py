@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -57,7 +58,7 @@ def modes(posterior: Posterior, limits: Limits = "propagated") -> tuple[Mode, ..
     return tuple(found)
 
 
-def proposal(posterior: Posterior, dof: float, defensive: float) -> Blend:
+def proposal(posterior: Posterior, found: Sequence[Mode], dof: float, defensive: float) -> Blend:
     r"""(1 − defensive) Σ_j mass_j t_ν(x_j*, H_j) + defensive N(linear-Gaussian part).
 
     Potentials have energies that are never negative, so that the density lies below its linear
@@ -66,12 +67,17 @@ def proposal(posterior: Posterior, dof: float, defensive: float) -> Blend:
 
     Where no optimum has a positive definite Hessian, the Gauss–Newton one stands in.
 
+    Args:
+        posterior: The density.
+        found: Its modes.
+        dof: ν.
+        defensive: Share of the linear-Gaussian part.
+
     Reference:
         Hesterberg, Technometrics 1995, on defensive mixtures.
     """
     assembly, which = posterior.assembly, posterior.which
     whole = linear(assembly, which)
-    found = modes(posterior)
     if found:
         log_mass = np.array([mode.log_mass for mode in found])
         share = np.exp(log_mass - np.logaddexp.reduce(log_mass))

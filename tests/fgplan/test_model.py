@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 from factors.residual import Linear
-from fgplan import Density, Level, SecondOrder, keys, plan
+from fgplan import Density, Level, OccupancyGrid, Robot, SecondOrder, keys, plan
+from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Start
+from fgplan.model import build
 from fgplan.starts import coast
 from tests.scenes import (
     CORRIDOR,
     STACK,
     assembled,
     believed,
+    fork,
     forked,
     initial,
     jittered,
@@ -185,6 +188,34 @@ def test_potentials_carry_the_exponent_dt_over_t_ref():
         assert scaled[name] == pytest.approx(0.5 * plain[name], rel=1e-12)
     for name in set(plain) - potentials:
         assert scaled[name] == plain[name]
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.6, 1.2])
+def test_what_a_wall_costs_does_not_depend_on_the_length_of_a_step(speed):
+    """A drive along a wall that is too near, 3.2 s long, in steps of any length."""
+    energies = []
+    for dt in (0.8, 0.4, 0.2, 0.1):
+        density = Density(dt=dt, horizon=3.2, t_ref=0.4)
+        wall = OccupancyGrid.from_polygons(
+            [[(-1.0, 0.2), (9.0, 0.2), (9.0, 1.0), (-1.0, 1.0)]], (-2, -2, 10, 2), 0.05
+        )
+        robot = Robot(np.zeros(2), np.array([speed, 0.0]), preferred_speed=speed, max_speed=speed)
+        scenario = forked(density=density, grid=wall, plans=fork()[:1]).replace(robot=robot)
+        (model,) = build(scenario, believed(scenario), hypothesise(scenario, believed(scenario)))
+        x = np.zeros((len(model.times), model.reference.shape[1]))
+        robot_columns = model.columns["robot"]
+        x[:, robot_columns] = np.column_stack(
+            [speed * model.times, 0 * model.times, 0 * model.times + speed, 0 * model.times]
+        )
+        total = 0.0
+        for term in model.terms:
+            if term.name.startswith("obstacle"):
+                steps = np.array(term.steps)
+                at = [x[steps + offset, model.columns[name]] for name, offset in term.variables]
+                total += float(np.sum(term.residual.energy(*at)))
+        energies.append(total)
+    assert energies[0] > 0.1
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-6)
 
 
 def test_without_t_ref_the_potentials_are_the_papers_plain_product():

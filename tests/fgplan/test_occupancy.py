@@ -203,6 +203,17 @@ def test_polygon_marks_every_cell_that_it_touches_and_no_other(seed):
     assert np.all(near | _even_odd(centres, vertices))
 
 
+def test_an_outline_that_winds_around_twice_has_no_hole():
+    """A pentagram's middle, and a square that is outlined twice."""
+    angle = 2 * np.pi * np.array([0, 2, 4, 1, 3]) / 5
+    star = 1.0 + 0.9 * np.column_stack([np.cos(angle), np.sin(angle)])
+    square = np.array([[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]])
+    for outline in (star, star[::-1], np.vstack([square, square])):
+        grid = OccupancyGrid.from_polygons([outline], (0.0, 0.0, 2.0, 2.0), 0.05)
+        assert grid.is_occupied(np.array([1.0, 1.0]))
+        assert not grid.is_occupied(np.array([0.1, 0.1]))
+
+
 def _even_odd(points, vertices):
     inside = np.zeros(len(points), dtype=bool)
     for (ax, ay), (bx, by) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):

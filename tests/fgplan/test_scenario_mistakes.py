@@ -171,6 +171,14 @@ def test_goal_in_obstacle_is_reported_beside_other_mistakes(tmp_path: Path) -> N
     assert [m.path for m in mistakes(tmp_path, text)] == ["density.beta", "goal.position"]
 
 
+@pytest.mark.parametrize("bounds", ["[0, 0, 1e8, 1e-3]", "[0, 0, 1e300, 1e-300]"])
+def test_a_map_that_is_long_and_thin_has_too_many_cells_as_well(
+    tmp_path: Path, bounds: str
+) -> None:
+    text = GOOD + f"[map]\nbounds = {bounds}\nresolution = 0.05\npolygons = []"
+    assert [m.path for m in mistakes(tmp_path, text)] == ["map.resolution"]
+
+
 @pytest.mark.parametrize(
     ("change", "mend"),
     [

@@ -118,6 +118,10 @@ def test_users_factors_between_far_steps_are_sampled_too(method):
         lambda: EllipticalSlice(chains=1),
         lambda: HMC(draws=2),
         lambda: HMC(target=1.0),
+        lambda: HMC(jump_every=-2),
+        lambda: EllipticalSlice(jump_every=-1),
+        lambda: EllipticalSlice(reference="priors"),  # type: ignore[arg-type]
+        lambda: Importance(source="lapalce"),  # type: ignore[arg-type]
     ],
 )
 def test_settings_out_of_range_are_refused(make):

@@ -28,6 +28,7 @@ from fgplan import (
 from fgplan.assembly import Assembly
 from fgplan.inference import HMC, MAP, EllipticalSlice, Importance, Laplace
 from fgplan.inference.gaussian import prior
+from fgplan.measuring import Reading, Readings
 from fgplan.shear import Shear
 from fgplan.solver import Solution
 from tests.factor_testing import differences
@@ -290,6 +291,41 @@ def test_far_from_all_limits_the_kinematic_prior_is_the_prior() -> None:
     assert one.log_evidence is not None
     assert one.log_evidence_error is not None
     assert two.log_evidence == pytest.approx(one.log_evidence, abs=5 * one.log_evidence_error)
+
+
+@pytest.mark.parametrize("hypothesis", [0, 1])
+def test_what_data_on_a_level_says_is_in_the_evidence_of_the_kinematic_prior(hypothesis) -> None:
+    """Where no limit is near, it is the log Z of the prior, with data as without."""
+    robot = Robot(np.zeros(2), np.array([0.6, 0.0]), max_speed=60.0, max_acceleration=200.0)
+    reading = Reading(0.8, np.array([0.8, 0.5]), 0.04 * np.eye(2))
+    scenario = forked(
+        density=short(limit_sigma=np.inf),
+        levels=(Level(sigma=0.3, h=2.0),),
+        data=(Readings((reading,), "mission"),),
+    ).replace(robot=robot)
+    assembly, hypotheses = assembled(scenario)
+    X, which = initial(assembly, hypotheses)
+    start = int(np.flatnonzero(which == hypothesis)[0])
+    found = SecondOrder().solve(assembly, X[[start]], which[[start]])
+    one, two = (
+        Importance(20_000, source).infer(assembly, hypothesis, found, seed)  # type: ignore[arg-type]
+        for seed, source in enumerate(("prior", "kinematic"))
+    )
+    assert one.log_evidence_error is not None
+    assert two.log_evidence == pytest.approx(one.log_evidence, abs=5 * one.log_evidence_error)
+
+
+@pytest.mark.parametrize("rate", [0.8, -0.8])
+def test_turns_to_either_side_are_drawn_alike(rate: float) -> None:
+    """Whose speed falls must turn slower than they would by more deviations than a probability
+    next to 1 has digits for: the nearest yaw rate that is allowed is drawn, not the farthest."""
+    car = CarLike(Qc_yaw=0.01)
+    robot = Robot(np.zeros(2), np.array([0.6, 0.0]), heading=0.0, yaw_rate=rate, model=car)
+    now = car.state(robot, 0.0)
+    drawn = car.sample(robot, Density(), now, 4000, np.random.default_rng(0))
+    slow = drawn[:, 1, 3] < 0.15
+    assert np.count_nonzero(slow) > 100
+    assert np.mean(np.sign(drawn[slow, 1, 4]) == np.sign(rate)) > 0.9
 
 
 def test_people_and_levels_are_drawn_from_their_priors_beside_it() -> None:
