@@ -143,17 +143,6 @@ def waiting_law(
     return come.then(stand).then(go)
 
 
-def travel_time(
-    length: float, speed: float, acceleration: float, initial_speed: float = 0.0
-) -> float:
-    """Time to the end of a path, at rest there [s].
-
-    Raises:
-        ValueError: a number is not finite or out of its range.
-    """
-    return speed_law(length, speed, acceleration, initial_speed).duration
-
-
 def arc_length(path: Any) -> Array:
     """From the start of a polyline (N, 2) to each of its vertices, shape (N,) [m]."""
     steps = np.diff(np.asarray(path, dtype=float), axis=0)

@@ -14,7 +14,6 @@ from fgplan.timing import (
     speed_along,
     speed_law,
     timed,
-    travel_time,
     waiting_law,
 )
 
@@ -42,7 +41,7 @@ def test_triangle_where_the_path_is_too_short_to_reach_the_speed():
 
 
 def test_start_at_the_preferred_speed_saves_half_a_ramp():
-    assert travel_time(10.0, 1.0, 2.0, 1.0) == pytest.approx(10.0 + 0.25)
+    assert speed_law(10.0, 1.0, 2.0, 1.0).duration == pytest.approx(10.0 + 0.25)
 
 
 def test_start_above_the_preferred_speed_brakes_to_it_first():
@@ -64,7 +63,7 @@ def test_too_short_to_reach_the_end_speed_ends_slower():
 
 
 def test_path_of_no_length_takes_no_time():
-    assert travel_time(0.0, 1.0, 1.0, 1.0) == 0.0
+    assert speed_law(0.0, 1.0, 1.0, 1.0).duration == 0.0
     assert speed_law(0.0, 1.0, 1.0, 1.0).at(3.0) == (0.0, 0.0)
 
 
@@ -73,7 +72,7 @@ def test_waiting_brakes_stands_and_starts_at_the_delay():
     s, v = law.at([0.0, 1.0, 3.9, 5.0, 99.0])
     np.testing.assert_allclose(s, [0.0, 0.5, 0.5, 1.0, 10.0], atol=1e-12)
     np.testing.assert_allclose(v, [1.0, 0.0, 0.0, 1.0, 0.0], atol=1e-12)
-    assert law.duration == pytest.approx(4.0 + travel_time(9.5, 1.0, 1.0))
+    assert law.duration == pytest.approx(4.0 + speed_law(9.5, 1.0, 1.0).duration)
 
 
 def test_waiting_at_rest_is_the_same_law_later():
@@ -123,7 +122,7 @@ def test_waiting_at_a_place_comes_to_it_first():
 @settings(max_examples=100, deadline=None)
 def test_waiting_never_arrives_earlier(L, v, a, v0, delay, place):
     law = waiting_law(L, v, a, v0 * v, delay, place=place)
-    assert law.duration >= travel_time(L, v, a, v0 * v) - 1e-9
+    assert law.duration >= speed_law(L, v, a, v0 * v).duration - 1e-9
     assert law.duration >= delay - 1e-9
     assert law.length == pytest.approx(L, abs=1e-7)
     assert law.final_speed == pytest.approx(0.0, abs=1e-7)
@@ -133,7 +132,7 @@ def test_waiting_never_arrives_earlier(L, v, a, v0, delay, place):
 @settings(max_examples=50, deadline=None)
 def test_trajectory_stays_on_the_path_and_rests_at_its_end(seed, v, a):
     path = np.cumsum(np.random.default_rng(seed).normal(size=(6, 2)), axis=0)
-    T = travel_time(path_length(path), v, a)
+    T = speed_law(path_length(path), v, a).duration
     trajectory = timed(path, np.linspace(0, T + 1, 200), v, a)
     np.testing.assert_allclose(trajectory.positions[0], path[0], atol=1e-12)
     np.testing.assert_allclose(trajectory.positions[-1], path[-1], atol=1e-9)
