@@ -56,7 +56,9 @@ def log_weights(costs: Any, beta: float, stated: Sequence[float | None] = ()) ->
     return np.asarray(score - np.logaddexp.reduce(score))
 
 
-def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
+def hypothesise(
+    scenario: Scenario, belief: Belief, until: float = np.inf
+) -> tuple[Hypothesis, ...]:
     """The K global plans of a scenario: the user's, and the shortest of distinct homotopy classes.
 
     w_i = softmax(−beta J_i) with J_i the length of path i over the preferred speed. A stated
@@ -67,12 +69,17 @@ def hypothesise(scenario: Scenario, belief: Belief) -> tuple[Hypothesis, ...]:
     the timed plan comes to rest at the first stop, where the mission will be read again. A stated
     plan that the mission does not accept has weight 0.
 
+    Args:
+        scenario: What is known now.
+        belief: The people.
+        until: As of `find_routes`; itineraries of a mission are not broken off.
+
     Raises:
         NoRoute: a goal is stated and nothing leads there; `NoMissionRoute` where nothing on this
             map does what the mission still requires.
         MissionError: a name in the mission is no region or fact.
     """
-    paths = _paths(scenario)
+    paths = _paths(scenario, until)
     if not paths:
         return (_no_goal(scenario, belief),)
     if all(path.weight == 0 for path in paths):
@@ -121,7 +128,7 @@ def _no_goal(scenario: Scenario, belief: Belief) -> Hypothesis:
     return Hypothesis("no goal", 0.0, None, 0.0, starts(scenario, belief, straight, ahead))
 
 
-def _paths(scenario: Scenario) -> list[_Path]:
+def _paths(scenario: Scenario, until: float) -> list[_Path]:
     here = scenario.robot.position
     paths = []
     for given in scenario.plans:
@@ -134,7 +141,7 @@ def _paths(scenario: Scenario) -> list[_Path]:
         paths += [_visiting(one) for one in itineraries_of(scenario, max(scenario.count, 1))]
     elif scenario.goal is not None and scenario.count > 0:
         routes = find_routes(
-            scenario.grid, here, scenario.goal, scenario.robot.radius, scenario.count
+            scenario.grid, here, scenario.goal, scenario.robot.radius, scenario.count, until
         )
         paths += [_Path(route.label, route.path, None) for route in routes]
     return paths

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import gtsam
@@ -39,6 +40,9 @@ NEGLIGIBLE = 30.0
 """Combinations of levels that are surely this much less probable than the best are left out [nats]:
 exp(−30) is 1e-13."""
 
+ROUTES = 0.4
+"""Share of a deadline after which no further routes are looked for."""
+
 RESERVE = 0.2
 """Share of a deadline that is kept for checking and weighing what was found."""
 
@@ -50,7 +54,7 @@ def plan(
     factors: Iterable[gtsam.NonlinearFactor] = (),
     solver: Solver | None = None,
     select: selection.Rule = selection.height,
-    hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] = operated(hypothesise),  # noqa: B008
+    hypotheses: Callable[[Scenario, Belief], Sequence[Hypothesis]] | None = None,
     warm: Mixture | None = None,
     deadline: float | None = None,
     inference: Inference | str = QUICK,
@@ -68,8 +72,9 @@ def plan(
         solver: `SecondOrder()` by default, which follows optima that could win or, where the
             inference gives an evidence, be a part of it; or `GtsamLM()`, GTSAM's own optimiser.
         select: `selection.height` (default) or `selection.mass`; both are always reported.
-        hypotheses: Where the global plans come from; by default the routes to the goal, and what
-            the operator points at and none of them leads to.
+        hypotheses: Where the global plans come from; by default the routes to the goal, of which
+            those are known that time allows to find, and what the operator points at and none of
+            them leads to.
         warm: The previous plan, of an earlier `scenario.now`: its components, shifted in time,
             are starts beside the cold ones.
         deadline: Seconds from the call after which the best plan so far is returned; it says
@@ -105,14 +110,18 @@ def plan(
     d = scenario.density
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
+    end = np.inf if deadline is None else began + deadline
+    searching = np.inf if deadline is None else began + ROUTES * deadline
+    if hypotheses is None:
+        hypotheses = operated(partial(hypothesise, until=searching))
     stated = tuple(hypotheses(scenario, belief))
+    hasty = perf_counter() >= searching
     if not stated:
         raise NoPlan(f"hypotheses, {hypotheses!r}, gave none for {scenario.name!r}")
     scenario = of_people(obeying(scenario), belief)
     proposed = reweigh(scenario, crossed(scenario, stated))
     ready = perf_counter()
 
-    end = np.inf if deadline is None else began + deadline
     assembly = Assembly(build(scenario, belief, proposed, factors))
     every = len(proposed)
     if every > len(stated):  # a product of levels
@@ -154,6 +163,8 @@ def plan(
     scores, doubts = _scored(components, select, inference)
     mixture = _decide(scenario, belief, components, scores, timing)
     notes = [*_touched(scenario, belief)]
+    if hasty and scenario.count > len(stated):
+        notes.append(f"{len(stated)} of {scenario.count} routes found in the time for it")
     notes += [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
     notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
     if every > len(proposed):

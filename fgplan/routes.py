@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count as counter
 from itertools import pairwise
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,7 +67,12 @@ class Route:
 
 
 def find_routes(
-    grid: OccupancyGrid | None, start: Any, goal: Any, radius: float, count: int
+    grid: OccupancyGrid | None,
+    start: Any,
+    goal: Any,
+    radius: float,
+    count: int,
+    until: float = np.inf,
 ) -> tuple[Route, ...]:
     """At most `count` routes, the shortest first; fewer where there are fewer classes.
 
@@ -81,6 +87,8 @@ def find_routes(
         goal: Shape (2,) [m].
         radius: Of the robot [m].
         count: How many routes, at least 1.
+        until: When to stop, on the clock of `time.perf_counter` [s]: one route there is in any
+            case, but others are not looked for any more, nor are corners rounded further.
 
     Raises:
         NoRoute: start or goal is outside the map or in an obstacle, or nothing joins them.
@@ -99,6 +107,8 @@ def find_routes(
     classes: dict[bytes, Array] = {}
     lengths: list[float] = []
     for looked, nodes in enumerate(_candidates(road, first, last)):
+        if lengths and perf_counter() >= until:
+            break
         steps = road.place(nodes)
         bound = DETOUR * _length(steps)
         if looked >= count * MOST_CANDIDATES or (
@@ -111,7 +121,7 @@ def find_routes(
             lengths.append(_length(classes[key]))
     order = sorted(classes.values(), key=_length)[:count]
     pulled = [np.vstack([head, path, tail]) for path in order]
-    return _ranked(road, smooth(road, pulled), a)
+    return _ranked(road, smooth(road, pulled, until), a)
 
 
 def shortest_path(grid: OccupancyGrid, start: Any, goal: Any, radius: float) -> tuple[Array, float]:

@@ -6,6 +6,7 @@ Lattice coordinates, as in `fgplan.roadmap`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,15 +84,18 @@ def _subdivided(path: Array, spacing: float) -> Array:
     return np.vstack([path[which] + share[:, None] * step[which], path[-1:]])
 
 
-def smooth(road: Roadmap, paths: list[Array]) -> list[Array]:
+def smooth(road: Roadmap, paths: list[Array], until: float = np.inf) -> list[Array]:
     """Paths (n, 2) as elastic bands: each point moves towards the middle of its neighbours and
     away from obstacles, up to `COMFORT`. Ends stay. Where a band would come too near an obstacle
     it is the given path again, and all of it where it would leave its class.
 
-    All paths at once: the work is in the calls, not in the points.
+    All paths at once: the work is in the calls, not in the points. After `until`, on the clock of
+    `time.perf_counter` [s], no finer level is begun.
     """
-    bands = paths
+    bands = anchors = paths
     for spacing, sweeps in LEVELS:
+        if perf_counter() >= until:
+            break
         anchors = [_subdivided(path, spacing) for path in paths]
         bands = [_resampled(band, anchor) for band, anchor in zip(bands, anchors, strict=True)]
         bands = _relaxed(road, bands, anchors, sweeps)

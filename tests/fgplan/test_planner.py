@@ -281,6 +281,15 @@ def test_a_belief_that_makes_no_sense_is_refused_by_name(crowd, changes, message
         plan(forked(crowd=crowd), belief=Belief(names=("a", "b"), Qc=0.1, **numbers))
 
 
+def test_without_time_for_routes_there_is_one_and_the_plan_says_so():
+    wall = OccupancyGrid.from_polygons([[(3, -1), (5, -1), (5, 1), (3, 1)]], (-1, -4, 9, 4), 0.1)
+    scenario = forked(grid=wall, plans=(), count=2, goal=np.array([8.0, 0.0]))
+    assert len(plan(scenario).components) == 2
+    hasty = plan(scenario, deadline=1e-9)
+    assert len(hasty.components) == 1
+    assert "1 of 2 routes found in the time for it" in hasty.warnings
+
+
 @pytest.mark.parametrize("deadline", [-0.1, np.nan])
 def test_a_deadline_that_is_no_time_is_refused(deadline):
     with pytest.raises(ValueError, match=r"deadline must be .* got"):

@@ -364,6 +364,18 @@ def test_lane_of_one_coarse_cell_is_found_by_a_small_robot(radius):
     assert gap(grid, dense(route.path, 0.02)).min() >= radius - 1e-9
 
 
+def test_who_has_no_time_has_the_shortest_route_with_its_corners():
+    """One route in any case, as clear as all, and hardly longer than with time."""
+    grid = random_map(3, 30)
+    a, b = random_ends(grid, 3)
+    with_time = find_routes(grid, a, b, RADIUS, 4)
+    (route,) = find_routes(grid, a, b, RADIUS, 4, until=-np.inf)
+    assert len(with_time) == 4
+    assert gap(grid, dense(route.path, 0.01)).min() >= RADIUS - 1e-9
+    assert route.length == pytest.approx(with_time[0].length, rel=0.05)
+    np.testing.assert_allclose(route.path[[0, -1]], with_time[0].path[[0, -1]])
+
+
 def test_no_more_routes_than_asked_for():
     grid = random_map(1, 12)
     a, b = random_ends(grid, 1)
