@@ -233,12 +233,12 @@ class Roadmap:
                 return int(row * cols + col)
         return None
 
-    def reach(self, node: int, limit: float = np.inf) -> tuple[Array, NDArray[np.int32]]:
+    def reach(self, node: int) -> tuple[Array, NDArray[np.int32]]:
         """Length of the shortest lattice path from a node to every node [cells], inf where there
         is none, and the node before each on it."""
         from scipy.sparse.csgraph import dijkstra
 
-        length, before = dijkstra(self.lattice, indices=node, limit=limit, return_predecessors=True)
+        length, before = dijkstra(self.lattice, indices=node, return_predecessors=True)
         return length, before
 
     # Skeleton
@@ -250,6 +250,18 @@ class Roadmap:
         from skimage.morphology import skeletonize
 
         return _chains(skeletonize(self.free), self.free)
+
+    @cached_property
+    def to_skeleton(self) -> NDArray[np.int32]:
+        """The node before each on the shortest lattice path to it from the skeleton, as of `reach`;
+        below 0 on the skeleton, and where it does not lead."""
+        from scipy.sparse.csgraph import dijkstra
+
+        bones = np.unique(np.concatenate([np.zeros(0, np.intp), *self.skeleton]))
+        _, before, _ = dijkstra(
+            self.lattice, indices=bones, return_predecessors=True, min_only=True
+        )
+        return np.asarray(before)
 
 
 @lru_cache(maxsize=4)

@@ -38,9 +38,6 @@ GOAL_TOLERANCE = 0.5
 DETOUR = 0.7
 """A pulled path is rarely shorter than this share of its skeleton path: where to stop looking."""
 
-LONGER = 1.1
-"""The way to the skeleton is looked for this many times as far as the straight line, at first."""
-
 MOST_CANDIDATES = 8
 """Skeleton paths looked at for each route asked for."""
 
@@ -240,22 +237,11 @@ def _candidates(road: Roadmap, first: int, last: int) -> Iterator[Nodes]:
         return
     bones = np.concatenate(chains)
     q = int(bones[np.argmin(to_goal[bones])])
-    p, on = _to_bones(road, first, bones)
+    on = trace(road.to_skeleton, first)
+    p = int(on[-1])
     off = trace(before_goal, q)
     for part in _simple_paths(_edges(road, chains, p, q), p, q):
         yield np.concatenate([on, *part, off])
-
-
-def _to_bones(road: Roadmap, node: int, bones: Nodes) -> tuple[int, Nodes]:
-    """The skeleton node nearest to a node, and the way there."""
-    away = np.linalg.norm(road.place(bones) - road.place(node), axis=1)
-    limit = max(2 * road.required, LONGER * float(away.min()))
-    while True:
-        length, before = road.reach(node, limit)
-        nearest = int(bones[np.argmin(length[bones])])
-        if np.isfinite(length[nearest]):
-            return nearest, trace(before, nearest)[::-1]
-        limit *= 2
 
 
 Edge = tuple[int, int, float, Nodes]
