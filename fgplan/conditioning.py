@@ -78,7 +78,7 @@ def heard(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothe
     What the readings say against a hypothesis is in its weight, which is not normalised; what they
     say of a random level's state now, in `Hypothesis.heard`. The plans must be those there were.
     """
-    against, memories = _against(scenario, hypotheses)
+    against, memories = _against(scenario, hypotheses, before=np.inf)
     found = []
     for i, hypothesis in enumerate(hypotheses):
         known = {
@@ -90,9 +90,13 @@ def heard(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothe
 
 
 def _against(
-    scenario: Scenario, hypotheses: Sequence[Hypothesis]
+    scenario: Scenario, hypotheses: Sequence[Hypothesis], before: float = 0.0
 ) -> tuple[Array, dict[str, Memory]]:
-    """What data says against each hypothesis, shape (K,) [nats], and of random levels now."""
+    """What data says against each hypothesis, shape (K,) [nats], and of random levels now.
+
+    Of places without a time on a random level only those count that were passed `before` then [s
+    from now].
+    """
     against, memories = np.zeros(len(hypotheses)), {}
     for index, level in enumerate(scenario.levels):
         data = measuring(scenario, level.name)
@@ -104,7 +108,7 @@ def _against(
             against += memory.energy
             memories[level.name] = memory
         if data:
-            against += [_passed(scenario, level, data, h) for h in hypotheses]
+            against += [_passed(scenario, level, data, h, before) for h in hypotheses]
     return against, memories
 
 
@@ -118,7 +122,6 @@ def log_likelihood(
     readings: Iterable[Reading],
     course: Course | Trajectory,
     now: float = 0.0,
-    spread: float = 0.0,
 ) -> float:
     """log p(z | η) of readings of a known trajectory, up to a constant of the readings [nats].
 
@@ -126,7 +129,6 @@ def log_likelihood(
         readings: On the clock of `now`; one without a time is where the trajectory is nearest.
         course: Times from now; outside of them its first or last velocity is held.
         now: [s].
-        spread: Variance of η around the course [m²] or [m²/s²], beside the noise of a reading.
     """
     readings = tuple(readings)
     if not readings:
@@ -140,7 +142,7 @@ def log_likelihood(
     first = np.array([0 if r.quantity == "position" else 2 for r in readings])
     expected = np.take_along_axis(states, first[:, None] + np.arange(2), axis=1)
     error = np.array([r.value for r in readings]) - expected
-    R = np.array([r.covariance for r in readings]) + spread * np.eye(2)
+    R = np.array([r.covariance for r in readings])
     return -0.5 * float(np.sum(error * np.linalg.solve(R, error[..., None])[..., 0]))
 
 
@@ -266,16 +268,28 @@ def _on_plan(
 
 
 def _passed(
-    scenario: Scenario, level: Level, data: Sequence[Measurement], hypothesis: Hypothesis
+    scenario: Scenario,
+    level: Level,
+    data: Sequence[Measurement],
+    hypothesis: Hypothesis,
+    before: float,
 ) -> float:
-    """−log p of the positions without a time that the plan has already been nearest to."""
-    past = [
-        reading
-        for reading in _readings(data)
-        if reading.time is None and nearest(reading, hypothesis.along_of(level.name)) < 0
-    ]
-    width = level.sigma**2 if np.isfinite(level.sigma) else level.h
-    return -log_likelihood(past, hypothesis.along_of(level.name), scenario.now, width)
+    """−log p of the positions without a time that the plan has been nearest to `before` then.
+
+    A density with its normaliser: for another hypothesis the same place may be ahead still, where
+    it is a factor with one. A level without a plan of its own is as wide as its coupling to one.
+    """
+    mean = hypothesis.along_of(level.name)
+    free = [(nearest(r, mean), r) for r in _readings(data) if r.time is None]
+    past = [one for one in free if one[0] < before]
+    if not past:
+        return 0.0
+    z = _deviations(past, mean, scenario.now)
+    error, width = z[..., None], level.sigma**2 if np.isfinite(level.sigma) else level.h
+    S = np.array([r.covariance for _, r in past]) + width * np.eye(2)
+    return 0.5 * float(
+        np.sum(error * np.linalg.solve(S, error)) + np.sum(np.linalg.slogdet(2 * np.pi * S)[1])
+    )
 
 
 def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) -> Memory | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from factors.markov import Matern
 from fgplan import (
@@ -19,9 +20,10 @@ from fgplan import (
     plan,
 )
 from fgplan.assembly import Assembly
-from fgplan.conditioning import log_likelihood, nearest, reweigh
+from fgplan.conditioning import heard, log_likelihood, nearest, reweigh
 from fgplan.crowd import believe
 from fgplan.hypotheses import hypothesise
+from fgplan.hypothesis import Course, Hypothesis, Start
 from fgplan.model import build
 from fgplan.solver import GtsamLM, SecondOrder
 from fgplan.trajectory import Trajectory
@@ -213,3 +215,48 @@ def test_log_likelihood_of_a_known_trajectory():
     line = Trajectory(np.array([0.0, 1.0]), positions, ahead)
     zs = (reading(0.5, (0.5, 0.2), 0.1, "position"), reading(3.0, (1.0, 0.3), 0.2))
     assert log_likelihood(zs, line) == pytest.approx(-0.5 * (4 + 2.25), abs=1e-12)
+
+
+def held(name, y, x=0.0, v=0.8, ahead=2.0):
+    """A plan along y, at x now, that is known from a second ago on and for `ahead` seconds."""
+
+    def going(x, times):
+        at = np.column_stack([x + v * times, np.full_like(times, y)])
+        return Trajectory(times, at, np.tile([v, 0.0], (len(times), 1)))
+
+    times = 0.4 * np.arange(6)
+    on = going(x, 0.4 * np.arange(1 + round(ahead / 0.4)))
+    course = Course(np.array([-1.0, 0.0]), (going(x - v, times), on))
+    now = going(x, times)
+    return Hypothesis(name, -np.log(2), now, 0.0, (Start("plan", now),), None, course)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
+def test_a_place_weighs_the_same_just_ahead_and_just_passed(sigma):
+    """Two plans at the same distance to a place: one has passed it, the other has it ahead. By
+    Gaussian algebra log p(z | i) = log N(z; η_i, R + σ²), height log N of the states beside it."""
+    level = Level(sigma=sigma, h=1e6)
+    pair = (held("passed", 0.5, 0.01), held("ahead", -0.5, -0.01))
+    told = scenario(Reading(None, np.zeros(2), 0.09 * np.eye(2)), level=level)
+    mixture = plan(told, hypotheses=lambda *_: pair)
+    mass = dict(zip((c.label for c in mixture.components), mixture.probability_mass, strict=True))
+    assert mass["passed"] == pytest.approx(0.5, abs=0.01)
+    height = dict(
+        zip((c.label for c in mixture.components), mixture.probability_height, strict=True)
+    )
+    # Where the plan has passed it, the state there is integrated out; else it is at its optimum.
+    ratio = 0.09 / (0.09 + sigma**2)
+    assert height["passed"] / height["ahead"] == pytest.approx(ratio, rel=0.05)
+
+
+def test_a_place_that_is_kept_no_longer_weighs_as_a_density_on_every_plan():
+    R, sigma = 0.09 * np.eye(2), 0.5
+    place = Reading(None, np.array([0.4, 0.2]), R)
+    pair = (held("passed", 0.4, 0.8), held("ahead", -0.3, -0.8))
+    after = heard(scenario(place, level=Level(sigma=sigma)), pair)
+    expected = [
+        -np.log(2)
+        + multivariate_normal(h.along.at(nearest(place, h.along))[:2], S).logpdf([0.4, 0.2])
+        for h, S in ((h, R + sigma**2 * np.eye(2)) for h in pair)
+    ]
+    assert [h.log_prior for h in after] == pytest.approx(expected, abs=1e-9)
