@@ -68,7 +68,7 @@ class Matern:
         return kron(A, np.eye(self.space)), kron(Q, np.eye(self.space))
 
     @property
-    def stationary(self) -> Array | None:
+    def stationary(self) -> Array:
         rate = np.sqrt(3) / self.length
         return np.diag(np.repeat([self.sigma, rate * self.sigma], self.space) ** 2)
 

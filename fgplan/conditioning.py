@@ -7,7 +7,8 @@ the datum's own time, goes into the hypothesis's weight.
 
 Time stamps, for a level that is random:
 
-- none: the time at which the hypothesis's plan comes nearest to the position;
+- none: the time at which the hypothesis's plan comes nearest to the position, and from there on as
+  if it had been stated; if that is before now, it only reweighs;
 - between two steps: exactly, by the level's own process between its states;
 - beyond the horizon: by the process from the last state on;
 - before now: by the process from then to now, as a density of the state now, so that old data
@@ -220,19 +221,16 @@ def on_level(
     memory = _memory(scenario, index, hypotheses)
     if not data and memory is None:
         return (LevelData(),) * len(hypotheses)
-    process, readings = _process(level, d), _readings(data)
-    stamped = [(r.time - now, r) for r in readings if r.time is not None]
+    process = _process(level, d)
+    stamped = [(r.time - now, r) for r in _readings(data) if r.time is not None]
     groups = list(_grouped(process, stamped, d))
     extra = [p for m in data for p in m.pieces(now, d.times) if isinstance(p.residual, Linear)]
     found = []
     for i, hypothesis in enumerate(hypotheses):
         mean = _mean(level, hypothesis)
-        free = [
-            (nearest(r, hypothesis.along_of(level.name)), r) for r in readings if r.time is None
-        ]
-        own = [g for one in free for g in _grouped(process, [one], d)]
+        free = _free(data, hypothesis.along_of(level.name))
         pieces = []
-        for k, seen, group in groups + own:
+        for k, seen, group in _grouped(process, stamped + free, d) if free else groups:
             z = np.concatenate([_deviation(reading, mean, t) for t, reading in group])
             if mean is not None:
                 states = mean.at(d.times[k : k + len(seen.weights)])
@@ -276,20 +274,21 @@ def _passed(
 ) -> float:
     """−log p of the positions without a time that the plan has been nearest to `before` then.
 
-    A density with its normaliser: for another hypothesis the same place may be ahead still, where
-    it is a factor with one. A level without a plan of its own is as wide as its coupling to one.
+    A density of all of them, with its normaliser: for another hypothesis the same place may be
+    ahead still, where it is a factor with one. A level without a plan of its own is as wide as its
+    coupling to one.
     """
     mean = hypothesis.along_of(level.name)
-    free = [(nearest(r, mean), r) for r in _readings(data) if r.time is None]
-    past = [one for one in free if one[0] < before]
+    past = [one for one in _free(data, mean) if one[0] < before]
     if not past:
         return 0.0
-    z = _deviations(past, mean, scenario.now)
-    error, width = z[..., None], level.sigma**2 if np.isfinite(level.sigma) else level.h
-    S = np.array([r.covariance for _, r in past]) + width * np.eye(2)
-    return 0.5 * float(
-        np.sum(error * np.linalg.solve(S, error)) + np.sum(np.linalg.slogdet(2 * np.pi * S)[1])
-    )
+    width = level.sigma if np.isfinite(level.sigma) else np.sqrt(level.h)
+    process, first = Matern(width, level.length), min(t for t, _ in past)
+    seen = beyond(process, [t - first for t, _ in past], *_measured(past))
+    W = seen.weights[0]
+    S = W @ process.stationary @ W.T + seen.covariance
+    z = _deviations(past, mean, scenario.now).ravel()
+    return 0.5 * float(z @ np.linalg.solve(S, z) + np.linalg.slogdet(2 * np.pi * S)[1])
 
 
 def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) -> Memory | None:
@@ -302,12 +301,13 @@ def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) ->
         return None
     means = [_mean(level, h) for h in hypotheses]
     z = np.array([_deviations(past, mean, now) for mean in means])
+    H, R = _measured(past)
     return remembered(
         _process(level, scenario.density),
         [-t for t, _ in past],
-        [_matrix(reading) for _, reading in past],
+        H,
         z.reshape(len(hypotheses), -1).T,
-        [reading.covariance for _, reading in past],
+        R,
         known,
         since,
     )
@@ -351,6 +351,17 @@ def _readings(data: Iterable[Measurement]) -> list[Reading]:
     return [reading for measurement in data for reading in measurement.readings]
 
 
+def _free(data: Iterable[Measurement], course: Course) -> list[Stamped]:
+    """Positions without a time, at the times when a plan is nearest to them."""
+    return [(nearest(r, course), r) for r in _readings(data) if r.time is None]
+
+
+def _measured(stamped: Iterable[Stamped]) -> tuple[list[Array], list[Array]]:
+    """H and R of readings."""
+    readings = [reading for _, reading in stamped]
+    return [_matrix(r) for r in readings], [np.asarray(r.covariance) for r in readings]
+
+
 def _grouped(
     process: Process, stamped: Iterable[Stamped], density: Density
 ) -> Iterable[tuple[int, Seen, list[Stamped]]]:
@@ -361,7 +372,7 @@ def _grouped(
         if t >= 0:
             groups.setdefault(min(T, int(t / dt)), []).append((t, reading))
     for k, group in groups.items():
-        H, R = [_matrix(r) for _, r in group], [np.asarray(r.covariance) for _, r in group]
+        H, R = _measured(group)
         tau = [
             float(np.clip(t - density.times[k], 0.0, np.inf if k == T else dt)) for t, _ in group
         ]

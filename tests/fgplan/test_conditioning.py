@@ -20,7 +20,7 @@ from fgplan import (
     plan,
 )
 from fgplan.assembly import Assembly
-from fgplan.conditioning import heard, log_likelihood, nearest, reweigh
+from fgplan.conditioning import heard, log_likelihood, nearest, on_level, reweigh
 from fgplan.crowd import believe
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Course, Hypothesis, Start
@@ -260,3 +260,68 @@ def test_a_place_that_is_kept_no_longer_weighs_as_a_density_on_every_plan():
         for h, S in ((h, R + sigma**2 * np.eye(2)) for h in pair)
     ]
     assert [h.log_prior for h in after] == pytest.approx(expected, abs=1e-9)
+
+
+def dense(process, times):
+    """Covariance of the positions of a stationary process at times, in any order."""
+    order = np.argsort(times, kind="stable")
+    ordered = np.asarray(times)[order]
+    C = covariance(process, ordered - ordered[0], process.stationary)
+    back = np.argsort(order)
+    positions = (4 * back[:, None] + np.arange(2)).ravel()
+    return C[np.ix_(positions, positions)]
+
+
+def against_straight_plans(pair, places, process, R):
+    """log p(z | i) of places, each when the plan is nearest to it, by dense Gaussian algebra."""
+    found = []
+    for h in pair:
+        times = [nearest(place, h.along) for place in places]
+        S = dense(process, times) + np.kron(np.eye(len(places)), R)
+        off = np.concatenate([p.value for p in places]) - h.along.at(times)[:, :2].ravel()
+        found.append(multivariate_normal(cov=S).logpdf(off))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    "xs",
+    [[8.0, 8.2, 8.4, 8.6, 8.8], [0.34, 0.4, 0.46, 0.52], [-0.6, -0.4, -0.3], [-0.5, -0.3, 0.35, 5]],
+    ids=["beyond the horizon", "between two steps", "passed", "passed and ahead"],
+)
+def test_places_without_a_time_share_what_the_level_wanders(xs):
+    """Jointly with each other, whatever they lie between. Places that were passed say nothing of
+    the state now, so they are apart from those ahead."""
+    R, process = 0.01 * np.eye(2), Matern(0.5, 4.0)
+    places = [Reading(None, np.array([x, 0.0]), R) for x in xs]
+    level = Level(sigma=0.5, length=4.0, h=1e6)
+    pair = (held("up", 0.6, ahead=16.0), held("down", -0.3, ahead=16.0))
+    mixture = plan(scenario(*places, level=level), hypotheses=lambda *_: pair)
+    log_mass = {
+        c.label: np.log(p)
+        for c, p in zip(mixture.components, mixture.probability_mass, strict=True)
+    }
+    passed = [p for p, x in zip(places, xs, strict=True) if x < 0]
+    ahead = [p for p, x in zip(places, xs, strict=True) if x > 0]
+    up, down = sum(
+        against_straight_plans(pair, some, process, R) for some in (passed, ahead) if some
+    )
+    assert log_mass["up"] - log_mass["down"] == pytest.approx(up - down, abs=0.01)
+
+
+def test_a_place_without_a_time_is_one_at_the_time_it_is_found_for():
+    """Among readings with times in the same interval and beyond the horizon."""
+    level, pair = Level(sigma=0.5, length=4.0), (held("only", 0.3, ahead=16.0),)
+    xs, R = [0.4, 8.0], 0.01 * np.eye(2)
+    with_times = [reading(10.45, (0.36, 0.1), 0.1, "position"), reading(20.2, (0.7, 0.2))]
+    free = [Reading(None, np.array([x, 0.0]), R) for x in xs]
+    stated = [
+        Reading(10.0 + nearest(place, pair[0].along), place.value, place.covariance)
+        for place in free
+    ]
+    a, b = (
+        on_level(scenario(*with_times, *some, level=level), 0, pair)[0] for some in (free, stated)
+    )
+    for one, other in zip(a.pieces, b.pieces, strict=True):
+        assert one.first == other.first
+        np.testing.assert_allclose(one.residual.b, other.residual.b, atol=1e-6)
+        assert one.residual.log_normalizer == pytest.approx(other.residual.log_normalizer, abs=1e-6)
