@@ -96,6 +96,7 @@ class Hypothesis:
         own: Plans of levels that have hypotheses of their own, by the level's name.
         heard: What is left of data that is kept no longer, by the level's name; what it says
             against the hypothesis is in `log_prior`.
+        own_courses: `own` at the times of data; without one a plan goes straight on at its end.
     """
 
     label: str
@@ -107,6 +108,7 @@ class Hypothesis:
     course: Course | Trajectory | None = None
     own: Mapping[str, Trajectory] = field(default_factory=dict)
     heard: Mapping[str, Heard] = field(default_factory=dict)
+    own_courses: Mapping[str, Trajectory] = field(default_factory=dict)
 
     def plan_of(self, level: str) -> Trajectory | None:
         """The plan that is the mean of a level."""
@@ -118,7 +120,7 @@ class Hypothesis:
         Raises:
             ValueError: there is no plan.
         """
-        own = self.own.get(level)
+        own = self.own_courses.get(level, self.own.get(level))
         return self.along if own is None else Course(np.zeros(1), (own,))
 
     @property

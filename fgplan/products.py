@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
-from fgplan.hypotheses import log_weights
+from fgplan.hypotheses import log_weights, times_of_data
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.scenario import Level, Scenario
 from fgplan.stack import links
@@ -21,6 +23,15 @@ from fgplan.trajectory import Trajectory
 
 SEPARATOR = "/"
 """Between the labels of the levels of a combination."""
+
+
+class _Choice(NamedTuple):
+    """One plan of a level: at the steps, and at the times of data where there is any."""
+
+    label: str
+    weight: float
+    plan: Trajectory
+    course: Trajectory | None
 
 
 def crossed(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
@@ -39,15 +50,17 @@ def crossed(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypot
     choices = [_choices(scenario, level) for level in own]
     found = []
     for first, others in product(hypotheses, product(*choices)):
-        labels = [first.label, *(label for label, _, _ in others)]
-        plans = {level.name: plan for level, (_, _, plan) in zip(own, others, strict=True)}
-        tries = tuple(Start(label, plan) for label, _, plan in others)
+        labels = [first.label, *(other.label for other in others)]
+        chosen = {level.name: other for level, other in zip(own, others, strict=True)}
+        courses = {name: one.course for name, one in chosen.items() if one.course is not None}
+        tries = tuple(Start(other.label, other.plan) for other in others)
         combination = replace(
             first,
             label=SEPARATOR.join(labels),
-            log_prior=first.log_prior + sum(weight for _, weight, _ in others),
+            log_prior=first.log_prior + sum(other.weight for other in others),
             starts=(*first.starts, *tries),
-            own=plans,
+            own={name: one.plan for name, one in chosen.items()},
+            own_courses=courses,
         )
         between = _between_fixed(scenario, combination)
         found.append(replace(combination, log_prior=combination.log_prior - between))
@@ -56,8 +69,8 @@ def crossed(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypot
     return tuple(replace(h, log_prior=w) for h, w in zip(found, score.tolist(), strict=True))
 
 
-def _choices(scenario: Scenario, level: Level) -> list[tuple[str, float, Trajectory]]:
-    """The plans of a level: label, log weight, timed plan."""
+def _choices(scenario: Scenario, level: Level) -> list[_Choice]:
+    """The plans of a level with a weight above 0."""
     robot, paths = scenario.robot, []
     for given in level.plans:
         vertices = np.asarray(given.path, dtype=float)
@@ -66,21 +79,21 @@ def _choices(scenario: Scenario, level: Level) -> list[tuple[str, float, Traject
         paths.append(vertices)
     costs = [path_length(path) / robot.preferred_speed for path in paths]
     weights = log_weights(costs, scenario.density.beta, [given.weight for given in level.plans])
-    return [
-        (
-            given.label,
-            weight,
-            timed(
-                path,
-                speed=robot.preferred_speed,
-                acceleration=robot.max_acceleration,
-                velocity=robot.velocity,
-                times=scenario.density.times,
-            ),
+    found = []
+    for given, weight, path, cost in zip(level.plans, weights.tolist(), paths, costs, strict=True):
+        if weight == -np.inf:
+            continue
+        follow = partial(
+            timed,
+            path,
+            speed=robot.preferred_speed,
+            acceleration=robot.max_acceleration,
+            velocity=robot.velocity,
         )
-        for given, weight, path in zip(level.plans, weights.tolist(), paths, strict=True)
-        if weight > -np.inf
-    ]
+        plan = follow(times=scenario.density.times)
+        course = follow(times=times_of_data(scenario, cost)) if scenario.data else None
+        found.append(_Choice(given.label, weight, plan, course))
+    return found
 
 
 def _between_fixed(scenario: Scenario, hypothesis: Hypothesis) -> float:

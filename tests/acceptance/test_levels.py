@@ -10,9 +10,13 @@ import pytest
 
 from factors.coupling import coupling
 from factors.gp_prior import gaussian
-from fgplan import Density, GivenPlan, Level, Robot, Scenario, plan
+from fgplan import Density, GivenPlan, Level, Reading, Readings, Robot, Scenario, plan
 from fgplan.assembly import Assembly
-from fgplan.hypotheses import log_weights
+from fgplan.conditioning import reweigh
+from fgplan.crowd import believe
+from fgplan.hypotheses import hypothesise, log_weights
+from fgplan.products import crossed
+from fgplan.selection import mass
 from fgplan.stack import loose
 from fgplan.timing import path_length, timed
 from tests.dense import Stack
@@ -221,3 +225,37 @@ def test_29_what_a_bound_excludes_is_not_solved():
     mixture = plan(scenario(levels).replace(plans=ABOVE))
     assert any("of 6 combinations left out" in note for note in mixture.warnings)
     assert not any(c.label.endswith("far") for c in mixture.components)
+
+
+BENT = tuple(
+    GivenPlan(label, np.array([[0.0, 0.0], [5.0, 0.0], [5.0, y]]), 1.0)
+    for label, y in (("left", 4.0), ("right", -4.0))
+)
+
+
+@pytest.mark.parametrize("time", [None, 9.5])
+@pytest.mark.parametrize("sigma", [0.0, 0.3])
+@pytest.mark.parametrize("above", [(), (Level("mission", 1.0, h=1e6),)], ids=["first", "below"])
+def test_29_data_beyond_the_horizon_is_of_the_plan_there_on_every_level(above, sigma, time):
+    """Plans that differ beyond the horizon alone: log p(z | i) = log N(z; η_i(t), R + σ²) by hand,
+    on the first level as on one with plans of its own. So loose a coupling says nothing."""
+    z, R = np.array([4.5, 0.8]), 0.5
+    data = (Readings((Reading(time, z, R * np.eye(2)),), "tactics"),)
+    tactics = Level("tactics", sigma, h=1e6, plans=BENT if above else ())
+    asked = scenario((*above, tactics), data=data)
+    asked = asked if above else asked.replace(plans=BENT)
+    if sigma == 0:  # what does not bend is told apart by its weight alone
+        nobody = believe((), 0.0, 0.03, 0.04, 1.5)
+        weighed = reweigh(asked, crossed(asked, hypothesise(asked, nobody)))
+        left, right = (h.log_prior for h in weighed)
+    else:
+        left, right = (c.log_prior + c.log_evidence for c in plan(asked, select=mass).components)
+    times, r = np.linspace(0, 15, 15001), asked.robot
+    off = []
+    for given in BENT:
+        path = timed(given.path, times, r.preferred_speed, r.max_acceleration, r.velocity)
+        squared = np.sum((path.positions - z) ** 2, axis=1)
+        off.append(squared.min() if time is None else squared[np.searchsorted(times, time)])
+    expected = 0.5 * (off[1] - off[0]) / (R + sigma**2)
+    assert expected > 0.2
+    assert left - right == pytest.approx(expected, rel=1e-3)
