@@ -65,7 +65,39 @@ def reweigh(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypot
     hypotheses = tuple(hypotheses)
     if not scenario.data or any(h.plan is None for h in hypotheses):
         return hypotheses
-    score = np.array([h.log_prior for h in hypotheses]) - _against(scenario, hypotheses)[0]
+    return _less(hypotheses, _against(scenario, hypotheses)[0])
+
+
+def infer(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Hypotheses with log p(i | data) for log w_i, by all data: where nothing is planned that would
+    weigh what is not in `reweigh`.
+
+    Each level that is random is integrated out around its plan, by itself. Factors on steps, which
+    are no readings, are taken on the plan itself.
+
+    Raises:
+        ValueError: a level has no plan that would tell hypotheses apart.
+    """
+    hypotheses = tuple(hypotheses)
+    flat = [level.name for level in scenario.levels if not np.isfinite(level.sigma)]
+    if flat:
+        raise ValueError(
+            f"levels {flat} have sigma = inf: without a plan of their own, data on them does not "
+            "tell where it leads; leave them out, or give them a finite sigma"
+        )
+    if not scenario.data or any(h.plan is None for h in hypotheses):
+        return hypotheses
+    against, memories = _against(scenario, hypotheses)
+    for level in scenario.levels:
+        if level.sigma > 0:
+            memory = memories.get(level.name)
+            against += [_ahead(scenario, level, h, memory, i) for i, h in enumerate(hypotheses)]
+    return _less(hypotheses, against)
+
+
+def _less(hypotheses: Sequence[Hypothesis], against: Array) -> tuple[Hypothesis, ...]:
+    """Hypotheses with what data says against them taken off their weights, normalised."""
+    score = np.array([h.log_prior for h in hypotheses]) - against
     score -= np.logaddexp.reduce(score)
     return tuple(
         replace(h, log_prior=weight) for h, weight in zip(hypotheses, score.tolist(), strict=True)
@@ -253,10 +285,17 @@ def _on_plan(
     scenario: Scenario, level: Level, data: Sequence[Measurement], hypothesis: Hypothesis
 ) -> float:
     """−log p(data | η = the plan) [nats]."""
+    known = log_likelihood(_readings(data), hypothesis.along_of(level.name), scenario.now)
+    return _pieces_on_plan(scenario, level, data, hypothesis) - known
+
+
+def _pieces_on_plan(
+    scenario: Scenario, level: Level, data: Sequence[Measurement], hypothesis: Hypothesis
+) -> float:
+    """Energy of factors on steps, η = the plan [nats]."""
     plan = hypothesis.plan_of(level.name)
     assert plan is not None
-    times, states = scenario.density.times, plan.states
-    energy = -log_likelihood(_readings(data), hypothesis.along_of(level.name), scenario.now)
+    times, states, energy = scenario.density.times, plan.states, 0.0
     for measurement in data:
         for piece in measurement.pieces(scenario.now, times):
             steps = piece.steps(len(times) - 1)
@@ -284,11 +323,38 @@ def _passed(
         return 0.0
     width = level.sigma if np.isfinite(level.sigma) else np.sqrt(level.h)
     process, first = Matern(width, level.length), min(t for t, _ in past)
-    seen = beyond(process, [t - first for t, _ in past], *_measured(past))
-    W = seen.weights[0]
-    S = W @ process.stationary @ W.T + seen.covariance
+    since = [(t - first, reading) for t, reading in past]
     z = _deviations(past, mean, scenario.now).ravel()
-    return 0.5 * float(z @ np.linalg.solve(S, z) + np.linalg.slogdet(2 * np.pi * S)[1])
+    return _against_readings(process, since, z, np.zeros(4), process.stationary)
+
+
+def _ahead(
+    scenario: Scenario, level: Level, hypothesis: Hypothesis, memory: Memory | None, i: int
+) -> float:
+    """−log p of data from now on of a level of finite width, given what is remembered of it."""
+    mean, data = hypothesis.along_of(level.name), measuring(scenario, level.name)
+    energy = _pieces_on_plan(scenario, level, data, hypothesis)
+    stamped = [(r.time - scenario.now, r) for r in _readings(data) if r.time is not None]
+    ahead = [one for one in (*stamped, *_free(data, mean)) if one[0] >= 0]
+    if not ahead:
+        return energy
+    process = Matern(level.sigma, level.length)
+    x, P = np.zeros(4), process.stationary
+    if memory is not None:
+        root = np.linalg.inv(memory.A)
+        x, P = root @ memory.b[:, i], root @ root.T
+    z = np.concatenate([_deviation(reading, mean, t) for t, reading in ahead])
+    return energy + _against_readings(process, ahead, z, x, P)
+
+
+def _against_readings(
+    process: Process, readings: Sequence[Stamped], z: Array, x: Array, P: Array
+) -> float:
+    """−log p(z) of readings of a process that is N(x, P) at time 0, all of them together."""
+    seen = beyond(process, [t for t, _ in readings], *_measured(readings))
+    W = seen.weights[0]
+    S, e = W @ P @ W.T + seen.covariance, z - W @ x
+    return 0.5 * float(e @ np.linalg.solve(S, e) + np.linalg.slogdet(2 * np.pi * S)[1])
 
 
 def _memory(scenario: Scenario, index: int, hypotheses: Sequence[Hypothesis]) -> Memory | None:

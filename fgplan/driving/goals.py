@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fgplan.conditioning import reweigh
+from fgplan.conditioning import infer
 from fgplan.crowd import Belief, believe
 from fgplan.driving.observation import Intent, Observation
 from fgplan.driving.operating import Operated
@@ -62,11 +62,15 @@ class GoalInference:
     plan of its own.
 
     p(i | z^h) of the ways to the candidates, each datum on the way as it was when the datum came.
+    Around a way, a level with a width is integrated out.
 
     Args:
         scenario: Robot, map and levels; its goal is not used.
         candidates: Places they may be going to.
         routing: How ways are kept up to date.
+
+    Raises:
+        ValueError: a level of the scenario has sigma = inf, and so no way that it is around.
     """
 
     def __init__(
@@ -78,6 +82,7 @@ class GoalInference:
         self.goals = CandidateGoals(candidates, routing)
         self.operated = Operated(past=Recollection())  # candidates keep their names
         self._scenario = scenario.replace(goal=None, tracks=(), data=())
+        infer(self._scenario, ())  # refuses a level that it could not weigh
         d = scenario.density
         self._nobody = believe((), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
 
@@ -100,7 +105,7 @@ class GoalInference:
         if not ways:
             raise NoRoute("NO_VALID_PATH", "nothing leads to any of the candidates")
         uniform = [replace(way, log_prior=-float(np.log(len(ways)))) for way in ways]
-        weighed = reweigh(scenario, operated.recalled(uniform, scenario.now, None))
+        weighed = infer(scenario, operated.recalled(uniform, scenario.now, None))
         probability = {h.label: float(np.exp(h.log_prior)) for h in weighed}
         operated = operated.note(ways, scenario, None)
         self.operated = operated.conclude(probability, scenario.now)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from factors.markov import Matern
@@ -20,7 +21,7 @@ from fgplan import (
     plan,
 )
 from fgplan.assembly import Assembly
-from fgplan.conditioning import heard, log_likelihood, nearest, on_level, reweigh
+from fgplan.conditioning import heard, infer, log_likelihood, nearest, on_level, reweigh
 from fgplan.crowd import believe
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Course, Hypothesis, Start
@@ -325,3 +326,33 @@ def test_a_place_without_a_time_is_one_at_the_time_it_is_found_for():
         assert one.first == other.first
         np.testing.assert_allclose(one.residual.b, other.residual.b, atol=1e-6)
         assert one.residual.log_normalizer == pytest.approx(other.residual.log_normalizer, abs=1e-6)
+
+
+def test_where_nothing_is_planned_all_data_on_a_random_level_weighs_by_dense_regression():
+    level, process = Level(sigma=0.6, length=2.0), Matern(0.6, 2.0)
+    readings = (
+        reading(9.1, (0.2, 0.3)), reading(9.6, (0.7, 0.4), 0.3), reading(10.15, (0.9, 0.1), 0.4),
+        reading(11.0, (1.0, 0.4), 0.2, "position"),
+        Reading(None, np.array([1.4, 0.1]), 0.04 * np.eye(2)),
+        Reading(None, np.array([8.0, 0.2]), 0.25 * np.eye(2)),
+    )  # fmt: skip
+    pair = (held("up", 0.5, ahead=16.0), held("down", -0.2, ahead=16.0))
+    found = infer(scenario(*readings, level=level), pair)
+    log_z = []
+    for h in pair:
+        t = np.array([nearest(r, h.along) if r.time is None else r.time - 10.0 for r in readings])
+        H = [np.eye(2, 4, k=2 * (r.quantity == "velocity")) for r in readings]
+        order = np.argsort(t)
+        C = covariance(process, t[order] - t.min(), process.stationary)
+        rows = block_diag(*(H[j] for j in order))
+        S = rows @ C @ rows.T + block_diag(*(readings[j].covariance for j in order))
+        z = np.concatenate([readings[j].value - H[j] @ h.along.at(t[j]) for j in order])
+        log_z.append(multivariate_normal(cov=S).logpdf(z))
+    assert found[0].log_prior - found[1].log_prior == pytest.approx(log_z[0] - log_z[1], abs=1e-9)
+    assert np.logaddexp(*(h.log_prior for h in found)) == pytest.approx(0, abs=1e-12)
+
+
+def test_where_nothing_is_planned_a_level_without_a_plan_is_refused():
+    levels = (Level(), Level("free", sigma=np.inf, Qc=0.5))
+    with pytest.raises(ValueError, match=r"levels \['free'\] have sigma = inf"):
+        infer(scenario(levels=levels), ())
