@@ -115,6 +115,16 @@ def beyond(
     return Seen((weights,), _noise(process, times, H, R))
 
 
+def behind(process: Process, ages: Sequence[float], H: Sequence[Array], R: Sequence[Array]) -> Seen:
+    """Readings H_j x(t_k − age_j) + N(0, R_j) before a state, age_j ≥ 0, on that state.
+
+    Both processes, backwards in time, are themselves with their velocities turned round.
+    """
+    turn = np.repeat([1.0, -1.0], H[0].shape[1] // 2)
+    seen = beyond(process, ages, [h * turn for h in H], R)
+    return Seen((seen.weights[0] * turn,), seen.covariance)
+
+
 def _noise(
     process: Process, times: Sequence[float], H: Sequence[Array], R: Sequence[Array]
 ) -> Array:

@@ -8,7 +8,8 @@ the datum's own time, goes into the hypothesis's weight.
 Time stamps, for a level that is random:
 
 - none: the time at which the hypothesis's plan comes nearest to the position, and from there on as
-  if it had been stated; if that is before now, it only reweighs;
+  if it had been stated; if that is before now, it is of the state now, and given that state it is
+  taken as independent of other data before now;
 - between two steps: exactly, by the level's own process between its states;
 - beyond the horizon: by the process from the last state on;
 - before now: by the process from then to now, as a density of the state now, so that old data
@@ -26,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from factors.markov import (
     Matern,
@@ -33,6 +35,7 @@ from factors.markov import (
     Process,
     Seen,
     WhiteAcceleration,
+    behind,
     between,
     beyond,
     remembered,
@@ -91,7 +94,9 @@ def infer(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothe
     for level in scenario.levels:
         if level.sigma > 0:
             memory = memories.get(level.name)
-            against += [_ahead(scenario, level, h, memory, i) for i, h in enumerate(hypotheses)]
+            against += [
+                _around_plan(scenario, level, h, memory, i) for i, h in enumerate(hypotheses)
+            ]
     return _less(hypotheses, against)
 
 
@@ -111,7 +116,11 @@ def heard(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothe
     What the readings say against a hypothesis is in its weight, which is not normalised; what they
     say of a random level's state now, in `Hypothesis.heard`. The plans must be those there were.
     """
-    against, memories = _against(scenario, hypotheses, before=np.inf)
+    against, memories = _against(scenario, hypotheses)
+    for level in scenario.levels:
+        if level.sigma > 0:
+            data = measuring(scenario, level.name)
+            against += [_forgotten(level, data, h) for h in hypotheses]
     found = []
     for i, hypothesis in enumerate(hypotheses):
         known = {
@@ -123,25 +132,19 @@ def heard(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypothe
 
 
 def _against(
-    scenario: Scenario, hypotheses: Sequence[Hypothesis], before: float = 0.0
+    scenario: Scenario, hypotheses: Sequence[Hypothesis]
 ) -> tuple[Array, dict[str, Memory]]:
-    """What data says against each hypothesis, shape (K,) [nats], and of random levels now.
-
-    Of places without a time on a random level only those count that were passed `before` then [s
-    from now].
-    """
+    """What data says against each hypothesis, shape (K,) [nats], and of random levels now."""
     against, memories = np.zeros(len(hypotheses)), {}
     for index, level in enumerate(scenario.levels):
-        data = measuring(scenario, level.name)
         if level.sigma == 0:
+            data = measuring(scenario, level.name)
             against += [_on_plan(scenario, level, data, h) for h in hypotheses]
             continue
         memory = _memory(scenario, index, hypotheses)
         if memory is not None:
             against += memory.energy
             memories[level.name] = memory
-        if data:
-            against += [_passed(scenario, level, data, h, before) for h in hypotheses]
     return against, memories
 
 
@@ -261,8 +264,9 @@ def on_level(
     for i, hypothesis in enumerate(hypotheses):
         mean = _mean(level, hypothesis)
         free = _free(data, hypothesis.along_of(level.name))
+        mine = [*_passed(process, free), *_grouped(process, stamped + free, d)] if free else groups
         pieces = []
-        for k, seen, group in _grouped(process, stamped + free, d) if free else groups:
+        for k, seen, group in mine:
             z = np.concatenate([_deviation(reading, mean, t) for t, reading in group])
             if mean is not None:
                 states = mean.at(d.times[k : k + len(seen.weights)])
@@ -304,56 +308,53 @@ def _pieces_on_plan(
     return energy
 
 
-def _passed(
-    scenario: Scenario,
-    level: Level,
-    data: Sequence[Measurement],
-    hypothesis: Hypothesis,
-    before: float,
-) -> float:
-    """−log p of the positions without a time that the plan has been nearest to `before` then.
+def _forgotten(level: Level, data: Sequence[Measurement], hypothesis: Hypothesis) -> float:
+    """−log p of positions without a time on a random level, around the plan.
 
-    A density of all of them, with its normaliser: for another hypothesis the same place may be
-    ahead still, where it is a factor with one. A level without a plan of its own is as wide as its
-    coupling to one.
+    A density of all of them, with its normaliser, since each plan has them at times of its own. A
+    level without a plan of its own is as wide as its coupling to one.
     """
     mean = hypothesis.along_of(level.name)
-    past = [one for one in _free(data, mean) if one[0] < before]
-    if not past:
+    free = _free(data, mean)
+    if not free:
         return 0.0
     width = level.sigma if np.isfinite(level.sigma) else np.sqrt(level.h)
-    process, first = Matern(width, level.length), min(t for t, _ in past)
-    since = [(t - first, reading) for t, reading in past]
-    z = _deviations(past, mean, scenario.now).ravel()
-    return _against_readings(process, since, z, np.zeros(4), process.stationary)
+    process, first = Matern(width, level.length), min(t for t, _ in free)
+    seen = beyond(process, [t - first for t, _ in free], *_measured(free))
+    z = np.concatenate([_deviation(reading, mean, t) for t, reading in free])
+    return _surprise([(seen, z)], np.zeros(4), process.stationary)
 
 
-def _ahead(
+def _around_plan(
     scenario: Scenario, level: Level, hypothesis: Hypothesis, memory: Memory | None, i: int
 ) -> float:
-    """−log p of data from now on of a level of finite width, given what is remembered of it."""
+    """−log p of data that is not remembered, of a level of finite width [nats]."""
     mean, data = hypothesis.along_of(level.name), measuring(scenario, level.name)
-    energy = _pieces_on_plan(scenario, level, data, hypothesis)
-    stamped = [(r.time - scenario.now, r) for r in _readings(data) if r.time is not None]
-    ahead = [one for one in (*stamped, *_free(data, mean)) if one[0] >= 0]
-    if not ahead:
-        return energy
     process = Matern(level.sigma, level.length)
+    free = _free(data, mean)
+    stamped = [(r.time - scenario.now, r) for r in _readings(data) if r.time is not None]
+    ahead = [one for one in (*stamped, *free) if one[0] >= 0]
+    groups = list(_passed(process, free))
+    if ahead:
+        groups.append((0, beyond(process, [t for t, _ in ahead], *_measured(ahead)), ahead))
+    said = [
+        (seen, np.concatenate([_deviation(reading, mean, t) for t, reading in group]))
+        for _, seen, group in groups
+    ]
     x, P = np.zeros(4), process.stationary
     if memory is not None:
         root = np.linalg.inv(memory.A)
         x, P = root @ memory.b[:, i], root @ root.T
-    z = np.concatenate([_deviation(reading, mean, t) for t, reading in ahead])
-    return energy + _against_readings(process, ahead, z, x, P)
+    return _pieces_on_plan(scenario, level, data, hypothesis) + _surprise(said, x, P)
 
 
-def _against_readings(
-    process: Process, readings: Sequence[Stamped], z: Array, x: Array, P: Array
-) -> float:
-    """−log p(z) of readings of a process that is N(x, P) at time 0, all of them together."""
-    seen = beyond(process, [t for t, _ in readings], *_measured(readings))
-    W = seen.weights[0]
-    S, e = W @ P @ W.T + seen.covariance, z - W @ x
+def _surprise(said: Sequence[tuple[Seen, Array]], x: Array, P: Array) -> float:
+    """−log p of readings z, each part seen of one state that is N(x, P)."""
+    if not said:
+        return 0.0
+    W = np.vstack([seen.weights[0] for seen, _ in said])
+    S = W @ P @ W.T + block_diag(*(seen.covariance for seen, _ in said))
+    e = np.concatenate([z for _, z in said]) - W @ x
     return 0.5 * float(e @ np.linalg.solve(S, e) + np.linalg.slogdet(2 * np.pi * S)[1])
 
 
@@ -444,6 +445,15 @@ def _grouped(
         ]
         seen = beyond(process, tau, H, R) if k == T else between(process, dt, tau, H, R)
         yield k, seen, group
+
+
+def _passed(
+    process: Process, free: Sequence[Stamped]
+) -> Iterable[tuple[int, Seen, Sequence[Stamped]]]:
+    """Positions that a plan was nearest to before now, as `_grouped`: on the state now."""
+    passed = [one for one in free if one[0] < 0]
+    if passed:
+        yield 0, behind(process, [-t for t, _ in passed], *_measured(passed)), passed
 
 
 def _piece(name: str, k: int, seen: Seen, z: Array) -> Piece:

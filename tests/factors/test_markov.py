@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors.markov import Matern, WhiteAcceleration, between, beyond, remembered
+from factors.markov import Matern, WhiteAcceleration, behind, between, beyond, remembered
 
 H_POSITION, H_VELOCITY = np.eye(2, 4), np.eye(2, 4, k=2)
 
@@ -77,6 +77,26 @@ def test_readings_beyond_the_last_state(process):
     np.testing.assert_allclose(
         seen.covariance, Hs @ given_exactly @ Hs.T + block_diagonal(R), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("process", PROCESSES, ids=["wnoa", "matern"])
+def test_readings_before_a_state_are_the_dense_regression(process):
+    """Where nothing is known before data, a first state that is as good as free."""
+    rng = np.random.default_rng(1)
+    ages = np.array([0.3, 1.7, 0.0])
+    H, R, _ = data(rng, 3)
+    seen = behind(process, ages, H, R)
+    first = 1e5 * np.eye(4) if process.stationary is None else process.stationary
+    order = np.argsort(-ages)
+    C = covariance(process, [*(1.7 - ages[order]), 1.7], first)
+    Hs = np.zeros((6, 16))
+    for row, j in enumerate(order):
+        Hs[2 * j : 2 * j + 2, 4 * row : 4 * row + 4] = H[j]
+    P = C[-4:, -4:]
+    gain = Hs @ C[:, -4:] @ np.linalg.inv(P)
+    np.testing.assert_allclose(seen.weights[0], gain, atol=1e-4)
+    rest = Hs @ C @ Hs.T - gain @ P @ gain.T + block_diagonal(R)
+    np.testing.assert_allclose(seen.covariance, rest, atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -235,7 +235,7 @@ def held(name, y, x=0.0, v=0.8, ahead=2.0):
 @pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
 def test_a_place_weighs_the_same_just_ahead_and_just_passed(sigma):
     """Two plans at the same distance to a place: one has passed it, the other has it ahead. By
-    Gaussian algebra log p(z | i) = log N(z; η_i, R + σ²), height log N of the states beside it."""
+    Gaussian algebra log p(z | i) = log N(z; η_i, R + σ²), and both are of the state now."""
     level = Level(sigma=sigma, h=1e6)
     pair = (held("passed", 0.5, 0.01), held("ahead", -0.5, -0.01))
     told = scenario(Reading(None, np.zeros(2), 0.09 * np.eye(2)), level=level)
@@ -245,9 +245,7 @@ def test_a_place_weighs_the_same_just_ahead_and_just_passed(sigma):
     height = dict(
         zip((c.label for c in mixture.components), mixture.probability_height, strict=True)
     )
-    # Where the plan has passed it, the state there is integrated out; else it is at its optimum.
-    ratio = 0.09 / (0.09 + sigma**2)
-    assert height["passed"] / height["ahead"] == pytest.approx(ratio, rel=0.05)
+    assert height["passed"] == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_place_that_is_kept_no_longer_weighs_as_a_density_on_every_plan():
@@ -290,8 +288,7 @@ def against_straight_plans(pair, places, process, R):
     ids=["beyond the horizon", "between two steps", "passed", "passed and ahead"],
 )
 def test_places_without_a_time_share_what_the_level_wanders(xs):
-    """Jointly with each other, whatever they lie between. Places that were passed say nothing of
-    the state now, so they are apart from those ahead."""
+    """Jointly with each other, whatever they lie between, before now as after it."""
     R, process = 0.01 * np.eye(2), Matern(0.5, 4.0)
     places = [Reading(None, np.array([x, 0.0]), R) for x in xs]
     level = Level(sigma=0.5, length=4.0, h=1e6)
@@ -301,11 +298,7 @@ def test_places_without_a_time_share_what_the_level_wanders(xs):
         c.label: np.log(p)
         for c, p in zip(mixture.components, mixture.probability_mass, strict=True)
     }
-    passed = [p for p, x in zip(places, xs, strict=True) if x < 0]
-    ahead = [p for p, x in zip(places, xs, strict=True) if x > 0]
-    up, down = sum(
-        against_straight_plans(pair, some, process, R) for some in (passed, ahead) if some
-    )
+    up, down = against_straight_plans(pair, places, process, R)
     assert log_mass["up"] - log_mass["down"] == pytest.approx(up - down, abs=0.01)
 
 
@@ -328,14 +321,26 @@ def test_a_place_without_a_time_is_one_at_the_time_it_is_found_for():
         assert one.residual.log_normalizer == pytest.approx(other.residual.log_normalizer, abs=1e-6)
 
 
-def test_where_nothing_is_planned_all_data_on_a_random_level_weighs_by_dense_regression():
+FREE = (
+    Reading(None, np.array([1.4, 0.1]), 0.04 * np.eye(2)),
+    Reading(None, np.array([8.0, 0.2]), 0.25 * np.eye(2)),
+)
+STAMPED = (
+    reading(10.15, (0.9, 0.1), 0.4), reading(11.0, (1.0, 0.4), 0.2, "position"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        (reading(9.1, (0.2, 0.3)), reading(9.6, (0.7, 0.4), 0.3)),
+        (Reading(None, np.array([-0.3, 0.2]), 0.04 * np.eye(2)),),
+    ],
+    ids=["stamped", "passed"],
+)
+def test_where_nothing_is_planned_all_data_on_a_random_level_weighs_by_dense_regression(before):
     level, process = Level(sigma=0.6, length=2.0), Matern(0.6, 2.0)
-    readings = (
-        reading(9.1, (0.2, 0.3)), reading(9.6, (0.7, 0.4), 0.3), reading(10.15, (0.9, 0.1), 0.4),
-        reading(11.0, (1.0, 0.4), 0.2, "position"),
-        Reading(None, np.array([1.4, 0.1]), 0.04 * np.eye(2)),
-        Reading(None, np.array([8.0, 0.2]), 0.25 * np.eye(2)),
-    )  # fmt: skip
+    readings = (*before, *STAMPED, *FREE)
     pair = (held("up", 0.5, ahead=16.0), held("down", -0.2, ahead=16.0))
     found = infer(scenario(*readings, level=level), pair)
     log_z = []
