@@ -203,8 +203,9 @@ class PassOn(_Tactic):
     seen: Trajectory | None = None
 
     def among(self, belief: Belief, times: Array) -> Measurement:
-        """With the person's prediction."""
-        return replace(self, seen=_predicted(self.person, belief, times))
+        """With the person's prediction; who stands has no direction, and needs one that is given."""
+        find = _walking if self.direction is None else _predicted
+        return replace(self, seen=find(self.person, belief, times))
 
     def pieces(self, now: float, times: Array) -> Iterable[Piece]:
         """One factor a step; none where nobody is known."""
@@ -237,7 +238,7 @@ class Formation(_Tactic):
 
     def among(self, belief: Belief, times: Array) -> Measurement:
         """With the leader's prediction."""
-        return replace(self, seen=_predicted(self.leader, belief, times))
+        return replace(self, seen=_walking(self.leader, belief, times))
 
     def pieces(self, now: float, times: Array) -> Iterable[Piece]:
         """One factor a step; none where nobody is known."""
@@ -264,7 +265,7 @@ class StayBehind(_Tactic):
 
     def among(self, belief: Belief, times: Array) -> Measurement:
         """With the person's prediction."""
-        return replace(self, seen=_predicted(self.person, belief, times))
+        return replace(self, seen=_walking(self.person, belief, times))
 
     def pieces(self, now: float, times: Array) -> Iterable[Piece]:
         """One factor a step; none where nobody is known."""
@@ -276,10 +277,15 @@ class StayBehind(_Tactic):
 
 
 def _predicted(name: str | None, belief: Belief, times: Array) -> Trajectory | None:
-    """Somebody's prediction; None for who is not known, or stands: they have no direction."""
+    """Somebody's prediction; None for who is not known."""
     if name is None or name not in belief.names:
         return None
-    states = belief.expected(times)[:, belief.names.index(name)]
-    if np.linalg.norm(states[:, 2:], axis=1).min() < SLOWEST:
+    return Trajectory.from_states(times, belief.expected(times)[:, belief.names.index(name)])
+
+
+def _walking(name: str | None, belief: Belief, times: Array) -> Trajectory | None:
+    """Somebody's prediction; None for who is not known, or stands: they have no direction."""
+    seen = _predicted(name, belief, times)
+    if seen is None or np.linalg.norm(seen.velocities, axis=1).min() < SLOWEST:
         return None
-    return Trajectory.from_states(times, states)
+    return seen

@@ -86,6 +86,17 @@ def test_somebody_is_passed_on_the_side_that_is_said(side, sign):
     assert sign * passed.positions[abeam, 1] > 0.5
 
 
+def test_who_stands_is_passed_on_the_side_that_is_said_where_a_direction_is():
+    stands = track("anna", 2.5, 0.0, 0.0)
+    side = PassOn("right", person="anna", direction=np.array([1.0, 0.0]), on="robot")
+    robot = planned(side, people=(stands,), crowd="predicted").robot
+    assert robot.positions[np.argmin(np.abs(robot.positions[:, 0] - 2.5)), 1] < -0.5
+    nobodys = PassOn("right", person="anna", on="robot")  # against which direction?
+    bare = planned(people=(stands,), crowd="predicted").robot
+    free = planned(nobodys, people=(stands,), crowd="predicted").robot
+    np.testing.assert_array_equal(free.states, bare.states)
+
+
 def test_a_point_is_passed_on_the_side_that_is_said():
     side = PassOn("right", point=np.array([2.5, 0.0]), direction=np.array([1.0, 0]), on="tactics")
     robot = planned(side).robot
