@@ -42,6 +42,8 @@ SPACING = 0.05
 """Of the points of a path along walls [m]."""
 CLEARANCE = 0.05
 """What it keeps from them [m]."""
+STILL = 1e-6
+"""Who is slower than this rests [m/s]."""
 SLOWEST = 0.1
 """A stick that asks for less than this share of the preferred speed points nowhere."""
 
@@ -193,7 +195,9 @@ def _beyond_best(scenario: Scenario, path: Array, leads: Sequence[Lead]) -> tupl
 def _going_on(scenario: Scenario, belief: Belief) -> Hypothesis:
     plan, robot = coast(scenario), scenario.robot
     ahead = plan.positions[[0, -1]]
-    if scenario.grid is not None and np.any(scenario.grid.clearance(plan.positions, 0.0) < 0):
+    moves = np.hypot(*robot.velocity) > STILL  # who rests in an obstacle slides along nothing
+    grid = scenario.grid
+    if moves and grid is not None and np.any(grid.clearance(plan.positions, 0.0) < 0):
         plan, ahead = _slid(scenario, robot.velocity)
     return Hypothesis(ON, 0.0, plan, 0.0, starts(scenario, belief, plan, ahead), ahead)
 
