@@ -399,17 +399,27 @@ def find_data_mistakes(path: str, data: Measurement, levels: Sequence[str]) -> I
         data: The measurement.
         levels: Names of the levels that there are.
     """
-    if not isinstance(data, Measurement) or isinstance(data, type):
+    try:  # from here on it is a program's own code that runs, `readings` of whatever it holds
+        known = isinstance(data, Measurement) and not isinstance(data, type)
+        readings = tuple(data.readings) if known else ()
+    except Exception as error:
+        why = f"its readings cannot be made, {type(error).__name__}: {error}"
+        yield Mistake(path, type(data).__name__, why)
+        return
+    if not known:
         yield Mistake(path, data, "give a measurement, such as Readings((Reading(...),))")
         return
     if data.on not in (None, ROBOT, *levels):
         mend = f"is not measured; give {ROBOT!r} or a level: {', '.join(map(repr, levels))}"
         yield Mistake(f"{path}.on", data.on, mend)
-    for j, reading in enumerate(data.readings):
+    for j, reading in enumerate(readings):
         yield from _reading(f"{path}.readings[{j}]", reading, data.on)
 
 
 def _reading(path: str, reading: Reading, on: str | None) -> Iterable[Mistake]:
+    if not isinstance(reading, Reading):
+        yield Mistake(path, reading, "give a Reading")
+        return
     if reading.quantity not in ("position", "velocity"):
         yield Mistake(f"{path}.quantity", reading.quantity, "give 'position' or 'velocity'")
     if reading.time is None:
@@ -418,6 +428,8 @@ def _reading(path: str, reading: Reading, on: str | None) -> Iterable[Mistake]:
             yield Mistake(f"{path}.time", None, mend)
     elif not _CLOCK.allows(reading.time):
         yield Mistake(f"{path}.time", _plain(reading.time), _CLOCK.mend)
+    if reading.said is not None and not _CLOCK.allows(reading.said):
+        yield Mistake(f"{path}.said", _plain(reading.said), _CLOCK.mend)
     yield from _points(f"{path}.value", reading.value, (2,))[1]
     yield from _covariance(f"{path}.covariance", reading.covariance, 2)
 

@@ -29,8 +29,8 @@ class Admitted:
 def admit(data: Iterable[Measurement], scenario: Scenario) -> Admitted:
     """Refuse what makes no sense and report what cannot be fulfilled.
 
-    Refused: numbers that are not finite, covariances that are not positive definite, levels that
-    do not exist, sticks stamped in the future. Changed: a stick that asks for more than the robot's
+    Refused: numbers that are not finite, shapes that do not fit, covariances that are not positive
+    definite, levels that do not exist, sticks stamped in the future. Changed: a stick that asks for more than the robot's
     top speed asks for that. Reported and kept, since it is only as strong as its covariance: a
     place inside an obstacle or outside the map.
     """
@@ -65,7 +65,7 @@ def _limited(stick: Joystick, scenario: Scenario) -> tuple[Joystick, list[str]]:
     if speed <= top * (1 + 1e-9):
         return stick, []
     note = f"joystick asks for {speed:.2f} m/s; {top:.2f} m/s taken"
-    return replace(stick, velocity=stick.velocity * (top / speed)), [note]
+    return replace(stick, velocity=np.multiply(stick.velocity, top / speed)), [note]
 
 
 def _placed(name: str, readings: Sequence[Reading], scenario: Scenario) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,14 @@ class Joystick:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """The velocity at moments of the window, which together weigh as much as one."""
+        """The velocity at moments of the window, which together weigh as much as one.
+
+        Raises:
+            ValueError: the time or the window is no number.
+        """
+        for name, value in (("time", self.time), ("window", self.window)):
+            if not isinstance(value, Real):
+                raise ValueError(f"{name} is {value!r}; give a time in seconds")
         if not self.window > 0:
             return (Reading(self.time, self.velocity, self.covariance, "velocity"),)
         shared = len(SHARES) * np.asarray(self.covariance, dtype=float)
@@ -214,7 +222,7 @@ def read_joy(path: str | Path) -> tuple[JoySample, ...]:
             seconds = float(stamp["sec"]) + 1e-9 * float(stamp["nanosec"])
             axes = tuple(float(axis) for axis in message["axes"])
             buttons = tuple(int(button) for button in message["buttons"])
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise FgplanError(f"{path}, line {number}: is no Joy message: {error!r}") from None
         samples.append(JoySample(seconds, axes, buttons))
     return tuple(samples)

@@ -68,8 +68,20 @@ class DrawnPath:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """Places along the path, its end among them."""
+        """Places along the path, its end among them.
+
+        Raises:
+            ValueError: the path is no list of points, has not as many times as vertices, or the
+                spacing is none.
+        """
         path = np.asarray(self.path, dtype=float)
+        if path.ndim != 2 or path.shape[1] != 2 or len(path) == 0:
+            raise ValueError(f"path has shape {path.shape}; give shape (N, 2)")
+        if not 0 < self.spacing < np.inf:
+            raise ValueError(f"spacing is {self.spacing!r}; give a finite length above 0")
+        if self.times is not None and np.shape(self.times) != (len(path),):
+            what = f"times have shape {np.shape(self.times)}"
+            raise ValueError(f"{what}; give one for each vertex of path, shape ({len(path)},)")
         if self.times is not None:
             return tuple(
                 Reading(float(t), p, self.covariance) for t, p in zip(self.times, path, strict=True)

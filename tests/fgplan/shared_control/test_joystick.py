@@ -128,7 +128,17 @@ def test_a_log_is_read_as_it_was_written(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "line", ["{", "[]", '{"header": {}}', '{"header": {"stamp": {"sec": 1, "nanosec": 0}}}', "3"]
+    "line",
+    [
+        "{",
+        "[]",
+        '{"header": {}}',
+        '{"header": {"stamp": {"sec": 1, "nanosec": 0}}}',
+        "3",
+        '{"header": {"stamp": {"sec": 1, "nanosec": 0}}, "axes": [0.0], "buttons": [Infinity]}',
+        '{"header": {"stamp": {"sec": 1%s, "nanosec": 0}}, "axes": [], "buttons": []}'
+        % ("0" * 400),
+    ],
 )
 def test_a_broken_log_names_file_and_line(tmp_path: Path, line: str):
     write_joy(tmp_path / "log.jsonl", [sample(0.0)])

@@ -13,6 +13,7 @@ from fgplan.shared_control import (
     STICK,
     VIA,
     Candidate,
+    DrawnPath,
     Joystick,
     Waypoint,
     admit,
@@ -25,6 +26,7 @@ from fgplan.shared_control import (
 BLOCK = [(3.0, -1.0), (5.0, -1.0), (5.0, 1.0), (3.0, 1.0)]
 GRID = OccupancyGrid.from_polygons([BLOCK], (-1, -4, 9, 4), 0.1, border=True)
 NOBODY = believe((), 0.0, 0.03, 0.04, 1.5)
+LINE = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
 
 
 def scenario(*data, **changes):
@@ -157,6 +159,16 @@ def test_without_the_goal_the_frame_of_the_map_does_not_matter():
         (place(1.0, 1.0, on="strategy"), "is not measured"),
         (Readings((Reading(np.nan, np.zeros(2), np.eye(2)),)), "time in seconds"),
         ("left, please", "measurement"),
+        (DrawnPath(LINE, np.eye(2), times=np.array([1.0, 2.0])), "one for each vertex"),
+        (DrawnPath(LINE, np.eye(2), spacing=0.0), "spacing is 0.0; give a finite length"),
+        (DrawnPath([[0, 0], [1]], np.eye(2)), "its readings cannot be made"),
+        (DrawnPath(np.arange(3.0), np.eye(2)), "give shape (N, 2)"),
+        (DrawnPath(np.zeros((0, 2)), np.eye(2)), "give shape (N, 2)"),
+        (Joystick(None, np.zeros(2), np.eye(2)), "time is None; give a time in seconds"),
+        (Joystick(0.0, np.zeros(2), np.eye(2), window="long"), "window is 'long'"),
+        (Readings(None), "its readings cannot be made"),
+        (Readings((3.0,)), "give a Reading"),
+        (Readings((Reading(0.0, np.zeros(2), np.eye(2), said=np.nan),)), "said"),
     ],
 )
 def test_bad_data_is_refused_by_name_and_the_rest_is_used(bad, why):
@@ -174,6 +186,11 @@ def test_a_stick_beyond_its_range_is_taken_at_the_top_speed():
     assert "3.00 m/s; 1.20 m/s taken" in note
 
 
+def test_a_stick_may_say_its_velocity_as_a_list():
+    (limited,) = admit((Joystick(0.0, [9.0, 0.0], np.eye(2)),), scenario()).data
+    np.testing.assert_allclose(limited.velocity, [1.2, 0.0])
+
+
 @pytest.mark.parametrize(
     ("x", "where"),
     [(4.0, "inside an obstacle"), (2.7, "too near a wall"), (12.0, "outside the map")],
@@ -186,6 +203,13 @@ def test_a_place_where_the_robot_cannot_be_is_reported_and_the_plan_goes_on(x, w
     assert where in admitted.notes[0]
     mixture = plan(s)
     assert mixture.components[0].feasible
+
+
+def test_who_rests_in_an_obstacle_and_has_no_goal_may_stay_there():
+    """Nothing to slide along: no speed, no direction."""
+    resting = Robot(np.array([3.05, 0.0]))
+    components = plan(scenario(stick(180), goal=None).replace(robot=resting)).components
+    assert {c.label for c in components} >= {ON}
 
 
 def test_candidates_are_doors_ends_and_corners():
