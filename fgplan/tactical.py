@@ -203,7 +203,7 @@ class PassOn(_Tactic):
     seen: Trajectory | None = None
 
     def among(self, belief: Belief, times: Array) -> Measurement:
-        """With the person's prediction; who stands has no direction, and needs one that is given."""
+        """With the person's prediction, where they walk or a direction is given."""
         find = _walking if self.direction is None else _predicted
         return replace(self, seen=find(self.person, belief, times))
 

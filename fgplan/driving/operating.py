@@ -83,8 +83,12 @@ class Operated:
         self, said: Iterable[Measurement], scenario: Scenario
     ) -> tuple[Operated, tuple[str, ...]]:
         """With new data, without what is over, and what was refused or cannot be done."""
-        admitted = admit((*self.waiting, *said), scenario)
-        new, notes = self._in_time(admitted.data, scenario.now)
+        known, admitted = admit(self.waiting, scenario), admit(said, scenario)
+        # What the scenario says of its past is as old as it says.
+        new, notes = self._in_time(known.data, scenario.now, self.past.until)
+        since = max(self.past.until, scenario.now - self.late)
+        fresh, late = self._in_time(admitted.data, scenario.now, since)
+        new, notes = [*new, *fresh], [*known.notes, *admitted.notes, *notes, *late]
         closest = self._approach(scenario, (*self.data, *new))
         data, met = [], []
         for measurement in (*self.data, *new):
@@ -92,19 +96,24 @@ class Operated:
                 met.append(measurement.name)
             else:
                 data.append(measurement)
-        kept, past = self._over(data, closest, scenario)
-        notes = [*admitted.notes, *notes, *(f"{name} is reached" for name in met)]
+        notes += [f"{name} is reached" for name in met]
+        past = self.past
+        if past.of:
+            kept, past = self._over(data, closest, scenario)
+        else:  # nobody is there yet who could hear it
+            kept, lost = _newest(data, scenario.now)
+            notes += lost
         operated = replace(self, data=kept, waiting=(), past=past, closest=closest)
         return replace(operated, met=(*self.met, *met)), tuple(notes)
 
     def _in_time(
-        self, data: Iterable[Measurement], now: float
+        self, data: Iterable[Measurement], now: float, since: float
     ) -> tuple[list[Measurement], list[str]]:
-        """Data of moments that were not heard yet, and what came too late."""
+        """Data of moments from `since` on [s], and what came too late."""
         kept, notes = [], []
         for measurement in data:
             times = [r.time for r in measurement.readings if r.time is not None]
-            if times and min(times) < self.past.until:
+            if times and min(times) < since:
                 late = f"{now - min(times):.2f} s late"
                 notes.append(f"operator data ({_name(measurement)}) came {late}: refused")
             else:
@@ -119,14 +128,7 @@ class Operated:
     ) -> tuple[tuple[Measurement, ...], Recollection]:
         """Data that is kept, and the past with what is over."""
         data, now = tuple(data), scenario.now
-        stamps = sorted(
-            r.time for m in data for r in m.readings if r.time is not None and r.time < now
-        )
-        until = max(now - self.late, self.past.until)
-        if len(stamps) > MOST:
-            until = max(until, stamps[-MOST])
-        elif not self.past.of:  # nobody is there yet who could hear it
-            return data, self.past
+        until = max(now - self.late, self.past.until, _since_most(data, now))
         horizon = now - LENGTHS * max(level.length for level in scenario.levels)
         levels: dict[str | None, Level] = {level.name: level for level in scenario.levels}
         levels[None] = scenario.levels[0]
@@ -231,6 +233,34 @@ class Operated:
             return replace(self, best=None)
         known = self.best is not None and self.best[0] == name
         return self if known else replace(self, best=(name, now))
+
+
+def _since_most(data: Iterable[Measurement], now: float) -> float:
+    """From when on there are no more than `MOST` readings of the past [s]."""
+    stamps = sorted(r.time for m in data for r in m.readings if r.time is not None and r.time < now)
+    return stamps[-MOST] if len(stamps) > MOST else -np.inf
+
+
+def _newest(
+    data: Iterable[Measurement], now: float
+) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
+    """Data with at most `MOST` readings of the past, and what that leaves out."""
+    data = tuple(data)
+    since = _since_most(data, now)
+    kept: list[Measurement] = []
+    count = 0
+    for measurement in data:
+        readings = tuple(measurement.readings)
+        rest = [r for r in readings if r.time is None or r.time >= since]
+        count += len(readings) - len(rest)
+        if len(rest) == len(readings):
+            kept.append(measurement)
+        elif rest:
+            kept.append(rest_of(measurement, rest))
+    if not count:
+        return data, ()
+    before = f"from before {since:.3f} s, more than {MOST} before there was a plan"
+    return tuple(kept), (f"{count} readings of the operator {before}: left out",)
 
 
 def _name(measurement: Measurement) -> str:

@@ -30,9 +30,9 @@ def admit(data: Iterable[Measurement], scenario: Scenario) -> Admitted:
     """Refuse what makes no sense and report what cannot be fulfilled.
 
     Refused: numbers that are not finite, shapes that do not fit, covariances that are not positive
-    definite, levels that do not exist, sticks stamped in the future. Changed: a stick that asks for more than the robot's
-    top speed asks for that. Reported and kept, since it is only as strong as its covariance: a
-    place inside an obstacle or outside the map.
+    definite, levels that do not exist, sticks stamped in the future. Changed: a stick that asks for
+    more than the robot's top speed asks for that. Reported and kept, since it is only as strong as
+    its covariance: a place inside an obstacle or outside the map.
     """
     levels = [level.name for level in scenario.levels]
     kept: list[Measurement] = []

@@ -302,6 +302,32 @@ def test_a_stick_that_is_held_for_long_takes_no_more_room_and_counts_on():
     assert max(weights[0], weights[2]) < -3
 
 
+@pytest.mark.parametrize(("count", "lost"), [(100, 0), (150, 50)])
+def test_of_more_than_can_be_kept_before_there_is_a_plan_the_newest_is(count, lost):
+    scenario = Scenario(Robot(np.zeros(2)), goal=np.array([9.0, 0.0]), now=10.0)
+    sticks = [
+        Joystick(10 - 1.4 + 0.3 * k / count, np.array([0.5, 0.1]), 0.04 * np.eye(2))
+        for k in range(count)
+    ]
+    operated, notes = Operated().hear(sticks, scenario)
+    kept = [r.time for m in operated.data for r in m.readings]
+    assert len(kept) == 3 * count - lost
+    said = [r.time for m in sticks for r in m.readings]
+    assert sorted(kept) == sorted(said)[lost:]
+    assert len(notes) == bool(lost)
+    assert all(f"{lost} readings" in note and "left out" in note for note in notes)
+
+
+def test_what_is_older_than_it_may_be_is_refused_before_anything_was_heard():
+    scenario = Scenario(Robot(np.zeros(2)), goal=np.array([9.0, 0.0]), now=100.6)
+    operated, notes = Operated().hear((stick(10, 20.0),), scenario)
+    assert operated.data == ()
+    assert notes == ("operator data (joystick) came 80.27 s late: refused",)
+    old = stick(10, 20.0)  # of a scenario, which says what it likes of its past
+    operated, notes = Operated(waiting=(old,)).hear((), scenario)
+    assert (operated.data, notes) == ((old,), ())
+
+
 def test_what_comes_too_late_is_refused_by_name():
     course = Course3(Level())
     for k in range(50):
