@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from factors.residual import whitener
 from fgplan.driving.observation import Detection, Observation
+from fgplan.occupancy import OccupancyGrid
 from fgplan.scenario import Robot
 
 
@@ -96,14 +98,30 @@ class Intake:
         if speed > self.slack * max_speed:
             notes.append(f"speed {speed:.2f} m/s is impossible; {max_speed:.2f} m/s taken")
             new = replace(new, velocity=np.multiply(new.velocity, max_speed / speed))
-        if new.goal is not None and not _is_finite(new.goal, (2,)):
-            notes.append(f"goal {new.goal!r} is not two finite numbers; the old one is kept")
-            new = replace(new, goal=None)
         if new.detections is not None:
             good = tuple(d for d in new.detections if _possible(d))
             if len(good) < len(new.detections):
                 notes.append(f"{len(new.detections) - len(good)} impossible detection(s) left out")
                 new = replace(new, detections=good)
+        new, wrong = self.said(new)
+        return new, (*notes, *wrong)
+
+    def said(self, new: Observation) -> tuple[Observation, tuple[str, ...]]:
+        """The observation without what is impossible in its goal, map, facts and operator data,
+        whatever its state, and what that was."""
+        notes = []
+        if new.goal is not None and not _is_finite(new.goal, (2,)):
+            notes.append(f"goal {new.goal!r} is not two finite numbers; the old one is kept")
+            new = replace(new, goal=None)
+        if new.grid is not None and not isinstance(new.grid, OccupancyGrid):
+            notes.append(f"map {new.grid!r} is no OccupancyGrid; the old one is kept")
+            new = replace(new, grid=None)
+        if not isinstance(new.facts, Mapping) or not all(isinstance(n, str) for n in new.facts):
+            notes.append(f"facts {new.facts!r} are no mapping of names; left out")
+            new = replace(new, facts={})
+        if not isinstance(new.operator, Sequence):
+            notes.append(f"operator data {new.operator!r} is no sequence of measurements; left out")
+            new = replace(new, operator=())
         return new, tuple(notes)
 
 

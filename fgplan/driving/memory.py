@@ -8,6 +8,7 @@ import numpy as np
 
 from fgplan.driving.deliberation import Deliberation
 from fgplan.driving.intake import Refused
+from fgplan.driving.news import News
 from fgplan.driving.observation import Observation
 from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import Blockage
@@ -41,6 +42,7 @@ class Memory:
         deliberation: How much better others have looked of late.
         operated: What the operator said.
         refused: The last observation, if it was not believed.
+        news: What was said in observations that were not used.
         nearest: How little was left to go so far on the way that is followed [m], and since when
             [s].
     """
@@ -58,6 +60,7 @@ class Memory:
     deliberation: Deliberation = Deliberation()  # noqa: RUF009 - frozen
     operated: Operated = field(default_factory=Operated)
     refused: Refused | None = None
+    news: News = field(default_factory=News)
     nearest: tuple[float, float] = NOWHERE
 
     @property
@@ -73,6 +76,7 @@ class Memory:
             followed=self.followed,
             deliberation=Deliberation(self.followed),
             operated=self.operated.on_new_clock(),
+            news=self.news.on_new_clock(),
         )
 
     @property

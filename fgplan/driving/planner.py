@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from time import perf_counter
 
@@ -15,8 +16,10 @@ from fgplan.driving.choice import chosen, expected, outcome, taken
 from fgplan.driving.deliberation import Deliberation
 from fgplan.driving.following import action_of, shifted
 from fgplan.driving.guard import Guarded, Judge, Tier
+from fgplan.driving.intake import Refused
 from fgplan.driving.leading_on import leads_on
 from fgplan.driving.memory import NOWHERE, Memory
+from fgplan.driving.news import TRIES
 from fgplan.driving.observation import Decision, Observation, Outcome
 from fgplan.driving.operating import Operated
 from fgplan.driving.pricing import update as update_blockages
@@ -96,9 +99,29 @@ class Planner:
             decision, self.memory = self._decide(self.memory, observation, began)
         except Exception as error:  # a robot must stop, whatever is wrong with its planner
             why = f"{type(error).__name__}: {error}"
-            decision, self.memory = self._unplanned.stop(self.memory, observation, why)
+            if self.memory.news.is_tried:
+                why += f"; what was said before is left out after {TRIES} steps that broke"
+            memory = self._broken(self.memory, observation)
+            decision, self.memory = self._unplanned.stop(memory, observation, why)
         mission = self.memory.scenario.mission
         return replace(decision, seconds=perf_counter() - began, mission=mission)
+
+    def _broken(self, memory: Memory, observation: Observation) -> Memory:
+        """After a step that broke: what was said in it is tried again."""
+        with suppress(Exception):
+            said, _ = self.settings.intake.said(observation)
+            return replace(memory, news=memory.news.broke(said))
+        return memory
+
+    def _refused(
+        self, memory: Memory, refused: Refused, observation: Observation
+    ) -> tuple[Decision, Memory]:
+        """Nobody believes where the robot is; what else was said waits."""
+        said, notes = self.settings.intake.said(observation)
+        news = memory.news.keep(said, refused.time if refused.kind == "clock" else np.inf)
+        memory = replace(memory, refused=refused, news=news)
+        decision, memory = self._unplanned.carry_on(memory, refused)
+        return replace(decision, repairs=(*decision.repairs, *notes)), memory
 
     def _decide(
         self, memory: Memory, observation: Observation, began: float
@@ -108,9 +131,9 @@ class Planner:
         if refused is not None and settings.intake.is_new_clock(refused):
             memory, refused = memory.on_new_clock(), None
         if refused is not None:
-            memory = replace(memory, refused=refused)
-            return self._unplanned.carry_on(memory, refused)
+            return self._refused(memory, refused, observation)
         observation, repairs = settings.intake.repaired(observation, robot.max_speed)
+        observation = memory.news.told(observation)
         scenario = updated(memory.scenario, observation, settings.period)
         known = memory.observation is not None and not memory.jumped
         came_from = memory.scenario.robot.position if known else None
@@ -130,6 +153,7 @@ class Planner:
             operated=operated,
             mixture=None if memory.jumped else memory.mixture,
             refused=None,
+            news=memory.news.used(observation),
             nearest=NOWHERE if further else memory.nearest,
             deliberation=Deliberation(memory.followed, scenario.now)
             if further
