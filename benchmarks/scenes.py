@@ -112,7 +112,7 @@ class World:
         here = self.robot[:2]
         on = [[3.0, offset], [GOAL - 3.0, offset], [GOAL, 0.0]]
         ahead = [point for point in on if point[0] > here[0] + 0.5]
-        return GivenPlan(f"{offset:+.1f} m", np.vstack([here, *ahead]), 1.0)
+        return GivenPlan(f"y = {offset:.1f} m", np.vstack([here, *ahead]), 1.0)
 
 
 def smooth(rng: np.random.Generator, times: Array, size: float, dim: int = 2) -> Array:

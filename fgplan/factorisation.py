@@ -18,6 +18,7 @@ from fgplan.assembly import Assembly
 from fgplan.crowd import believe, seen
 from fgplan.drawing import models
 from fgplan.hypotheses import hypothesise
+from fgplan.labels import AT_ONCE
 from fgplan.measuring import Measurement
 from fgplan.mission.parts import parts
 from fgplan.model import Model
@@ -263,7 +264,7 @@ def _held(scenario: Scenario) -> tuple[Held, ...]:
 
 def _stops(label: str) -> Sequence[str]:
     """The stops of an itinerary, by its label."""
-    return [name for stop in label.split(" #")[0].split(">") for name in stop.split("+")]
+    return [name for stop in label.split(" #")[0].split(">") for name in stop.split(AT_ONCE)]
 
 
 def _subject(measurement: Measurement) -> str | None:

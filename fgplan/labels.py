@@ -1,7 +1,8 @@
 """Names of hypotheses: shortened, broken where it can be read, placed where they hide nothing.
 
-Those of a mission list its stops, "shelf>desk #1"; hypotheses that ended in one optimum have their
-names joined with "+".
+Those of a mission list its stops, "shelf>desk #1", and join the regions of one stop with "&";
+hypotheses that ended in one optimum have their names joined with "+", those of several levels with
+"/". What joins names is in none of them.
 """
 
 from __future__ import annotations
@@ -14,10 +15,25 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+AT_ONCE = "&"
+"""Between the regions of one stop."""
+WAITING = ", waiting"
+"""Ends the label of a hypothesis that waits."""
+IN_NO_PLAN = ("+", "/", WAITING)
+"""What is in no name of a plan: it would be read as more than one."""
+IN_NO_REGION = (*IN_NO_PLAN, AT_ONCE, ">", " #")
+"""What is in no name of a region."""
+
 ROOM = 1.0
 """A label this far from everything hides nothing [m]."""
 BESIDE = (0.0, 2.0, -2.0, 4.0, -4.0)
 """How far above its line a label may be, the line itself first [half its height]."""
+
+
+def misread(name: str, parts: Sequence[str]) -> str | None:
+    """What of a name would be read as the end of it, in words; None where nothing would."""
+    found = next((part for part in parts if part in name), None)
+    return None if found is None else f"has {found!r}, which ends a name; leave it out"
 
 
 def lines(label: str, longest: int) -> list[str]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from factors.residual import whitener
 from fgplan.errors import MissionError, Mistake, ScenarioError
+from fgplan.labels import IN_NO_PLAN, IN_NO_REGION, misread
 from fgplan.measuring import ROBOT, Measurement, Reading
 from fgplan.mission.parser import KEYWORDS
 from fgplan.robots import RobotModel
@@ -221,7 +222,7 @@ def _plans(scenario: Scenario) -> Iterable[Mistake]:
         yield Mistake("plans.count", count, mend)
     for i, plan in enumerate(plans):
         yield from _given(f"plans.given[{i}]", plan)
-    yield from _distinct([plan.label for plan in plans], "plans.given[{}].label")
+    yield from _names([plan.label for plan in plans], "plans.given[{}].label", IN_NO_PLAN)
     weights = [plan.weight for plan in plans]
     if weights and all(w == 0 for w in weights):
         yield Mistake("plans.given", weights, "give at least one plan a weight above 0")
@@ -340,7 +341,7 @@ def _levels(levels: Sequence[Level]) -> Iterable[Mistake]:
 
 
 def _regions(scenario: Scenario) -> Iterable[Mistake]:
-    yield from _distinct([region.name for region in scenario.regions], "regions[{}].name")
+    yield from _names([r.name for r in scenario.regions], "regions[{}].name", IN_NO_REGION)
     for i, region in enumerate(scenario.regions):
         outline = [*region.polygon, (region.radius, region.radius)]
         yield from _points(f"regions[{i}].polygon", outline, (None, 2))[1]
@@ -386,7 +387,7 @@ def _place_in_stack(path: str, level: Level, before: Sequence[Level]) -> Iterabl
         yield Mistake(f"{path}.sigma", level.sigma, mend)
     for j, plan in enumerate(level.plans):
         yield from _given(f"{path}.plans[{j}]", plan)
-    yield from _distinct([plan.label for plan in level.plans], path + ".plans[{}].label")
+    yield from _names([plan.label for plan in level.plans], path + ".plans[{}].label", IN_NO_PLAN)
     if level.plans and all(plan.weight == 0 for plan in level.plans):
         yield Mistake(f"{path}.plans", 0.0, "give at least one plan a weight above 0")
 
@@ -478,6 +479,14 @@ def _distinct(names: Sequence[object], path: str) -> Iterable[Mistake]:
             yield Mistake(path.format(i), name, f"is also at {path.format(names.index(name))}")
         else:
             taken.add(name)
+
+
+def _names(names: Sequence[object], path: str, parts: Sequence[str]) -> Iterable[Mistake]:
+    """Names that are not distinct, or would be read as more than one in that of a hypothesis."""
+    yield from _distinct(names, path)
+    for i, name in enumerate(names):
+        if isinstance(name, str) and (why := misread(name, parts)) is not None:
+            yield Mistake(path.format(i), name, why)
 
 
 def _plain(value: Any) -> Any:

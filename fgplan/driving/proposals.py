@@ -12,6 +12,7 @@ from fgplan.driving.pricing import Blockage, Pricing, congestion, delay
 from fgplan.driving.routing import Way
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
+from fgplan.labels import WAITING
 from fgplan.products import SEPARATOR
 from fgplan.scenario import Scenario
 from fgplan.starts import Starts, starts
@@ -19,8 +20,6 @@ from fgplan.timing import along, speed_along, timed, waiting_law
 
 APART = 1.0
 """From the edge of a robot that waits to those who block the way [m]."""
-WAITING = ", waiting"
-"""Ends the label of a hypothesis that waits."""
 
 
 @dataclass(frozen=True, eq=False)

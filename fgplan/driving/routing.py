@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fgplan.errors import NoRoute
 from fgplan.hypotheses import itineraries_of
+from fgplan.labels import AT_ONCE
 from fgplan.mission import Itinerary, Mission
 from fgplan.occupancy import OccupancyGrid
 from fgplan.roadmap import roadmap
@@ -176,7 +177,7 @@ def _to_stops(scenario: Scenario) -> list[Way]:
         first, *_ = group
         more = [first.length - one.length for one in group]
         weight = float(np.logaddexp.reduce(beta / scenario.robot.preferred_speed * np.array(more)))
-        stop = "+".join(sorted(first.stops[0])) if first.stops else ""
+        stop = AT_ONCE.join(sorted(first.stops[0])) if first.stops else ""
         rest = first.length - path_length(first.ahead)
         ways.append(Way("", first.ahead, weight, stop, rest))
     return ways

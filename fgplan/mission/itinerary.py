@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgplan.errors import NoMissionRoute
+from fgplan.labels import AT_ONCE
 from fgplan.mission.automaton import Automaton
 from fgplan.mission.mission import Mission
 from fgplan.mission.places import Leg, Places, places, room_for
@@ -382,7 +383,7 @@ class _Search:
             path = np.vstack([path, path])
         stops = tuple(step.stop for step in walk.legs if step.stop)
         word = [letter | self.known for letter in self.map.word(path)]
-        label = ">".join("+".join(sorted(stop)) for stop in stops) or "goal"
+        label = ">".join(AT_ONCE.join(sorted(stop)) for stop in stops) or "goal"
         if not walk.legs:
             label = "done"
         return Itinerary(

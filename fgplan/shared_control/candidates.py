@@ -18,6 +18,7 @@ from fgplan.crowd import Belief
 from fgplan.errors import NoRoute
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
+from fgplan.labels import IN_NO_PLAN, misread
 from fgplan.occupancy import OccupancyGrid
 from fgplan.roadmap import Roadmap, roadmap
 from fgplan.scenario import Scenario
@@ -46,11 +47,18 @@ class Candidate:
         label: Its name.
         position: Shape (2,) [m].
         kind: What it is on the map, or "given".
+
+    Raises:
+        ValueError: the label has what ends a name in that of a hypothesis, such as "+" or "/".
     """
 
     label: str
     position: Array
     kind: Kind = "given"
+
+    def __post_init__(self) -> None:
+        if (why := misread(self.label, IN_NO_PLAN)) is not None:
+            raise ValueError(f"candidate {self.label!r} {why}")
 
 
 def toward(candidates: Sequence[Candidate]) -> Callable[[Scenario, Belief], Sequence[Hypothesis]]:

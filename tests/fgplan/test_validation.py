@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from fgplan.errors import ScenarioError
 from fgplan.measuring import Reading, Readings
 from fgplan.occupancy import OccupancyGrid
+from fgplan.regions import Region
 from fgplan.scenario import Density, FieldOfView, GivenPlan, Level, Robot, Scenario, Track
 from fgplan.validation import find_mistakes, placement, validate
 
@@ -59,6 +60,15 @@ def view(**changes: Any) -> Scenario:
 
 def plan(**changes: Any) -> Scenario:
     return GOOD.replace(plans=(replace(GOOD.plans[0], **changes), GOOD.plans[1]))
+
+
+def own(**changes: Any) -> Scenario:
+    plans = (replace(GOOD.plans[0], **changes), GOOD.plans[1])
+    return GOOD.replace(levels=(Level(), Level("tactics", sigma=0.3, plans=plans)))
+
+
+def region(name: str) -> Scenario:
+    return GOOD.replace(regions=(Region.disc(name, (1.0, 0.0), 0.5),))
 
 
 def test_good_scenarios_pass() -> None:
@@ -154,6 +164,14 @@ def test_numbers_are_finite_and_in_reach(make: Any, path: str, bad: float) -> No
         (plan(path=LINE[:1]), "plans.given[0].path", "two vertices or more"),
         (plan(path=LINE.T[:, :1]), "plans.given[0].path", "give shape (N, 2)"),
         (plan(label="b"), "plans.given[1].label", "is also at plans.given[0].label"),
+        (plan(label="left+right"), "plans.given[0].label", "has '+', which ends a name"),
+        (plan(label="door/left"), "plans.given[0].label", "has '/', which ends a name"),
+        (plan(label="a, waiting"), "plans.given[0].label", "has ', waiting'"),
+        (own(label="door/left"), "levels[1].plans[0].label", "has '/', which ends a name"),
+        (region("A+B"), "regions[0].name", "has '+', which ends a name; leave it out"),
+        (region("A&B"), "regions[0].name", "has '&'"),
+        (region("A>B"), "regions[0].name", "has '>'"),
+        (region("A #1"), "regions[0].name", "has ' #'"),
         (plan(label=""), "plans.given[0].label", "give a name"),
         (
             GOOD.replace(plans=(GivenPlan("a", LINE, 0.0), GivenPlan("b", LINE, 0.0))),

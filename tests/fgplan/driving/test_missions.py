@@ -9,6 +9,7 @@ from fgplan import OccupancyGrid, Robot, Scenario
 from fgplan.driving import Observation, Outcome, Planner, Settings
 from fgplan.mission import Fact, Mission, satisfies
 from fgplan.regions import Region, letter_at
+from fgplan.shared_control import Joystick
 
 PERIOD = 0.2
 
@@ -109,3 +110,22 @@ def test_a_fact_that_nobody_knows_is_left_out(two_ways):
     scenario = Scenario(robot, grid=two_ways, regions=REGIONS, mission=Mission("F B"))
     decision = Planner(scenario).step(Observation(0.0, robot.position, facts={"rain": True}))
     assert "fact 'rain' is none of the mission's: not used" in decision.repairs
+
+
+def test_the_ways_to_a_stop_in_two_regions_at_once_are_told_apart():
+    """Two ways round a block to where two regions overlap, and a stick for one of them."""
+    grid = OccupancyGrid.from_polygons(
+        [[(3, -1), (5, -1), (5, 1), (3, 1)]], (-1, -3, 10, 3), 0.1, border=True
+    )
+    regions = (Region.disc("A", (7.5, 0), 1.0), Region.disc("B", (8.2, 0), 1.0))
+    scenario = Scenario(
+        Robot(np.zeros(2)), grid=grid, regions=regions, mission=Mission("F(A & B)"), count=2
+    )
+    planner = Planner(scenario, Settings(period=PERIOD, deadline=None))
+    stick = Joystick(PERIOD, np.array([0.7, -0.5]), 0.04 * np.eye(2))
+    first = planner.step(Observation(0.0, np.zeros(2)))
+    second = planner.step(Observation(PERIOD, np.zeros(2), operator=(stick,)))
+    ways = {way.label for way in planner.memory.routes.ways}
+    assert ways == {"A&B A", "A&B B"}
+    assert first.label in ways
+    assert set(second.intent.probability) >= ways

@@ -233,6 +233,11 @@ def test_candidates_are_doors_ends_and_corners():
     assert len(find_candidates(grid, np.array([1.0, 2.0]), 0.25, most=2)) == 2
 
 
+def test_a_candidate_whose_name_would_be_read_as_two_is_refused():
+    with pytest.raises(ValueError, match=r"candidate 'door/left' has '/', which ends a name"):
+        Candidate("door/left", np.zeros(2))
+
+
 def test_candidates_nothing_leads_to_are_left_out():
     candidates = [
         Candidate("in the block", np.array([4.0, 0.0])),
