@@ -410,11 +410,12 @@ def find_data_mistakes(path: str, data: Measurement, levels: Sequence[str]) -> I
     if not known:
         yield Mistake(path, data, "give a measurement, such as Readings((Reading(...),))")
         return
-    if data.on not in (None, ROBOT, *levels):
+    on = data.on if data.on is None or isinstance(data.on, str) else str(data.on)
+    if on not in (None, ROBOT, *levels):
         mend = f"is not measured; give {ROBOT!r} or a level: {', '.join(map(repr, levels))}"
         yield Mistake(f"{path}.on", data.on, mend)
     for j, reading in enumerate(readings):
-        yield from _reading(f"{path}.readings[{j}]", reading, data.on)
+        yield from _reading(f"{path}.readings[{j}]", reading, on)
 
 
 def _reading(path: str, reading: Reading, on: str | None) -> Iterable[Mistake]:

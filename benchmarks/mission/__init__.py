@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fgplan.driving import Outcome
+from fgplan.labels import AT_ONCE
 from fgplan.mission import Mission
 from fgplan.regions import word_along
 from fgplan.scenario import Scenario
@@ -79,7 +80,7 @@ def headed_back(asked: Scenario, episode: Episode) -> int:
     count = 0
     steps = zip(episode.labels, episode.robot[:-1, :2], episode.robot[1:, :2], strict=True)
     for label, before, now in steps:
-        if label is not None and met & set(label.split()[0].split("+")):
+        if label is not None and met & set(label.split()[0].split(AT_ONCE)):
             count += 1
         for letter in word_along(regions, [before, now]):
             mission, was = mission.advance(letter), mission

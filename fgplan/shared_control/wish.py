@@ -51,7 +51,7 @@ def deviation(scenario: Scenario, plan: Trajectory) -> Deviation | None:
         where = plan.at(t)[:2]
         wished = reading.value
         if reading.quantity == "velocity":
-            wished = plan.positions[0] + t * reading.value
+            wished = plan.positions[0] + np.multiply(t, reading.value)
         metres = max(metres, float(np.hypot(*(where - wished))))
     return Deviation(metres, -log_likelihood(readings, plan, now))
 

@@ -157,6 +157,7 @@ def test_without_the_goal_the_frame_of_the_map_does_not_matter():
         (place(np.inf, 0.0), "finite numbers"),
         (Waypoint(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]])), "positive definite"),
         (place(1.0, 1.0, on="strategy"), "is not measured"),
+        (place(1.0, 1.0, on=np.zeros(2)), "is not measured"),
         (Readings((Reading(np.nan, np.zeros(2), np.eye(2)),)), "time in seconds"),
         ("left, please", "measurement"),
         (DrawnPath(LINE, np.eye(2), times=np.array([1.0, 2.0])), "one for each vertex"),
@@ -189,6 +190,12 @@ def test_a_stick_beyond_its_range_is_taken_at_the_top_speed():
 def test_a_stick_may_say_its_velocity_as_a_list():
     (limited,) = admit((Joystick(0.0, [9.0, 0.0], np.eye(2)),), scenario()).data
     np.testing.assert_allclose(limited.velocity, [1.2, 0.0])
+    said, listed = (
+        scenario(Joystick(0.0, velocity, 0.04 * np.eye(2)))
+        for velocity in (np.array([0.5, 0.1]), [0.5, 0.1])
+    )
+    (h, *_) = hypothesise(said, NOBODY)
+    assert deviation(listed, h.plan) == deviation(said, h.plan)
 
 
 @pytest.mark.parametrize(
