@@ -55,7 +55,7 @@ methods = [
     MAP(),
     Laplace(),
     Importance(),
-    EllipticalSlice(draws=100, warmup=200),
+    EllipticalSlice(draws=300, warmup=200),
     HMC(draws=100, warmup=100),
 ]
 found = {}
