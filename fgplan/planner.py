@@ -40,7 +40,7 @@ NEGLIGIBLE = 30.0
 """Combinations of levels that are surely this much less probable than the best are left out [nats]:
 exp(−30) is 1e-13."""
 
-ROUTES = 0.25
+ROUTES = 0.2
 """Share of a deadline after which no further routes are looked for."""
 
 RESERVE = 0.2

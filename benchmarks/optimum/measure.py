@@ -121,10 +121,15 @@ def _searched(
 
 
 def rows_of(name: str, now: Scenario, plans: Sequence[Made], known: Known) -> list[Row]:
-    """One row a plan; energies in nats, times in ms."""
+    """One row a plan; energies in nats, times in ms.
+
+    In haste fewer routes may be found, and a route's weight is then one of fewer: such a plan may
+    look better than it is, by what the others would have weighed, and is no measure of the best.
+    """
+    at_leisure = [p.score for p in plans if p.deadline is None]
     best = Score(
-        max(known.score.safe, *(p.score.safe for p in plans)),
-        max(known.score.any, *(p.score.any for p in plans)),
+        max(known.score.safe, *(score.safe for score in at_leisure)),
+        max(known.score.any, *(score.any for score in at_leisure)),
     )
     rows = []
     for p in plans:
