@@ -15,6 +15,7 @@ from fgplan.gating import left_out_energy
 from fgplan.hypothesis import Hypothesis
 from fgplan.inference.base import Inference, Inferred, Progress
 from fgplan.inference.laplace import QUICK
+from fgplan.labels import JOINED
 from fgplan.mixture import Component
 from fgplan.model import Model
 from fgplan.safety import Check, Checker, People, check
@@ -216,7 +217,7 @@ def merge(solved: list[Solved]) -> list[Component]:
         keep, other = sorted((old, new), key=lambda s: s.component.energy)
         component = replace(
             keep.component,
-            label=f"{old.component.label}+{new.component.label}",
+            label=f"{old.component.label}{JOINED}{new.component.label}",
             log_prior=float(np.logaddexp(old.component.log_prior, new.component.log_prior)),
             cost=min(old.component.cost, new.component.cost),
             lowest=min(old.component.lowest, new.component.lowest),

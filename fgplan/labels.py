@@ -15,11 +15,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+JOINED = "+"
+"""Between the names of hypotheses that ended in one optimum."""
 AT_ONCE = "&"
 """Between the regions of one stop."""
+OF_LEVELS = "/"
+"""Between the names of a hypothesis on several levels."""
 WAITING = ", waiting"
 """Ends the label of a hypothesis that waits."""
-IN_NO_PLAN = ("+", "/", WAITING)
+IN_NO_PLAN = (JOINED, OF_LEVELS, WAITING)
 """What is in no name of a plan: it would be read as more than one."""
 IN_NO_REGION = (*IN_NO_PLAN, AT_ONCE, ">", " #")
 """What is in no name of a region."""
@@ -43,7 +47,7 @@ def lines(label: str, longest: int) -> list[str]:
         return [label]
     found: list[str] = []
     for piece in re.split(r"(?=\+)|(?<=>)", label):
-        if found and not piece.startswith("+") and len(found[-1]) + len(piece) <= longest:
+        if found and not piece.startswith(JOINED) and len(found[-1]) + len(piece) <= longest:
             found[-1] += piece
         else:
             found.append(piece)
@@ -55,7 +59,7 @@ def short(label: str, longest: int) -> str:
     many more."""
     if len(label) <= longest:
         return label
-    first, *others = label.split("+")
+    first, *others = label.split(JOINED)
     more = f" +{len(others)}" if others else ""
     return (first if len(first) <= longest else f"{first[: longest - 1]}…") + more
 

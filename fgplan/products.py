@@ -16,13 +16,11 @@ import numpy as np
 
 from fgplan.hypotheses import log_weights, times_of_data
 from fgplan.hypothesis import Hypothesis, Start
+from fgplan.labels import OF_LEVELS
 from fgplan.scenario import Level, Scenario
 from fgplan.stack import links
 from fgplan.timing import path_length, timed
 from fgplan.trajectory import Trajectory
-
-SEPARATOR = "/"
-"""Between the labels of the levels of a combination."""
 
 
 class _Choice(NamedTuple):
@@ -56,7 +54,7 @@ def crossed(scenario: Scenario, hypotheses: Sequence[Hypothesis]) -> tuple[Hypot
         tries = tuple(Start(other.label, other.plan) for other in others)
         combination = replace(
             first,
-            label=SEPARATOR.join(labels),
+            label=OF_LEVELS.join(labels),
             log_prior=first.log_prior + sum(other.weight for other in others),
             starts=(*first.starts, *tries),
             own={name: one.plan for name, one in chosen.items()},

@@ -19,6 +19,7 @@ from fgplan.driving.proposals import route
 from fgplan.driving.recollection import Recollection, rest_of
 from fgplan.driving.routing import Routing, Way, joined
 from fgplan.hypothesis import Hypothesis
+from fgplan.labels import JOINED
 from fgplan.measuring import Measurement, Reading
 from fgplan.mixture import Mixture
 from fgplan.scenario import Level, Scenario
@@ -219,7 +220,7 @@ class Operated:
             return self, None
         probability: dict[str, float] = {}
         for component, p in zip(mixture.components, mixture.probability_height, strict=True):
-            name = route(component.label.split("+")[0])  # merged hypotheses are one plan
+            name = route(component.label.split(JOINED)[0])  # merged hypotheses are one plan
             probability[name] = probability.get(name, 0.0) + float(p)
         operated = self.conclude(probability, scenario.now)
         since = None if operated.best is None else operated.best[1]

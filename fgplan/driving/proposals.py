@@ -12,8 +12,7 @@ from fgplan.driving.pricing import Blockage, Pricing, congestion, delay
 from fgplan.driving.routing import Way
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis, Start
-from fgplan.labels import WAITING
-from fgplan.products import SEPARATOR
+from fgplan.labels import JOINED, OF_LEVELS, WAITING
 from fgplan.scenario import Scenario
 from fgplan.starts import Starts, starts
 from fgplan.timing import along, speed_along, timed, waiting_law
@@ -105,12 +104,12 @@ def propose(
 def route(label: str) -> str:
     """The route a hypothesis is on: waiting on a route does not leave it, nor does what a level
     below does on it."""
-    return label.partition(SEPARATOR)[0].removesuffix(WAITING)
+    return label.partition(OF_LEVELS)[0].removesuffix(WAITING)
 
 
 def route_of(label: str, followed: str | None) -> str:
     """The route of a component, whose label joins all hypotheses that ended in it."""
-    routes = [route(part) for part in label.split("+")]
+    routes = [route(part) for part in label.split(JOINED)]
     return followed if followed in routes else routes[0]
 
 

@@ -18,6 +18,7 @@ from PIL import Image
 
 from fgplan.canvas import GOAL, HYPOTHESES, PERSON, ROBOT, Box, draw_grid, draw_region
 from fgplan.errors import FgplanError
+from fgplan.labels import JOINED
 from fgplan.occupancy import OccupancyGrid
 from fgplan.simulation.episode import Episode, Moment, run
 from fgplan.simulation.policy import Policy
@@ -228,7 +229,7 @@ def _label(axes: Axes, x: str, y: str) -> None:
 
 def _routes(label: str) -> list[str]:
     """Hypotheses that ended in one optimum have their names joined."""
-    return label.split("+")
+    return label.split(JOINED)
 
 
 def _colours(shots: Sequence[Shot]) -> dict[str, str]:

@@ -5,14 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fgplan.labels import IN_NO_PLAN, lines, place, short
-from fgplan.products import SEPARATOR
+from fgplan.labels import lines, place, short
 
 ROUND = "pharmacy>laboratory>ward_b"
-
-
-def test_what_joins_levels_is_in_no_name() -> None:
-    assert SEPARATOR in IN_NO_PLAN
 
 
 def test_lines_break_between_stops_and_joined_names_only() -> None:
