@@ -16,6 +16,7 @@ from fgplan.assembly import Assembly
 from fgplan.components import Solving, component_of, merge
 from fgplan.conditioning import reweigh
 from fgplan.crowd import Belief, believe, heading, seen
+from fgplan.deadline import Deadline
 from fgplan.errors import NoPlan
 from fgplan.hypotheses import hypothesise
 from fgplan.hypothesis import Hypothesis
@@ -39,12 +40,6 @@ Array = NDArray[np.float64]
 NEGLIGIBLE = 30.0
 """Combinations of levels that are surely this much less probable than the best are left out [nats]:
 exp(−30) is 1e-13."""
-
-ROUTES = 0.2
-"""Share of a deadline after which no further routes are looked for."""
-
-RESERVE = 0.2
-"""Share of a deadline that is kept for checking and weighing what was found."""
 
 
 def plan(
@@ -98,9 +93,7 @@ def plan(
             no evidence, by which to select was asked; the belief or a factor of yours makes no
             sense.
     """
-    began = perf_counter()
-    if deadline is not None and not deadline >= 0:
-        raise ValueError(f"deadline must be a number of seconds, 0 or above, got {deadline}")
+    time = Deadline.until(deadline)
     inference = named(inference)
     if isinstance(inference, MAP) and select is selection.mass:
         raise ValueError("inference 'map' gives no evidence to select by; take another, or height")
@@ -110,12 +103,12 @@ def plan(
     d = scenario.density
     if belief is None:
         belief = believe(seen(scenario), scenario.now, d.Qc_people, d.sigma_track, d.sigma_speed)
-    end = np.inf if deadline is None else began + deadline
-    searching = np.inf if deadline is None else began + ROUTES * deadline
+    notes = [*_touched(scenario, belief)]
     if hypotheses is None:
-        hypotheses = operated(partial(hypothesise, until=searching))
-    stated = tuple(hypotheses(scenario, belief))
-    hasty = perf_counter() >= searching
+        stated = tuple(operated(partial(hypothesise, until=time.routes))(scenario, belief))
+        notes += _routes_missed(scenario, stated, time.routes)
+    else:
+        stated = tuple(hypotheses(scenario, belief))
     if not stated:
         raise NoPlan(f"hypotheses, {hypotheses!r}, gave none for {scenario.name!r}")
     scenario = of_people(obeying(scenario), belief)
@@ -123,15 +116,14 @@ def plan(
     ready = perf_counter()
 
     assembly = Assembly(build(scenario, belief, proposed, factors))
-    every = len(proposed)
-    if every > len(stated):  # a product of levels
-        kept = worth_solving(assembly, proposed, solver, NEGLIGIBLE, end)
+    if (every := len(proposed)) > len(stated):  # a product of levels
+        kept = worth_solving(assembly, proposed, solver, NEGLIGIBLE, time.end)
         proposed = tuple(proposed[i] for i in kept)
         assembly = Assembly([assembly.models[i] for i in kept])
     before = shifted(warm, scenario, belief) if warm is not None else ()
     modelled = perf_counter()
     solving = [
-        Solving(scenario, belief, assembly, i, checker=check, until=end)
+        Solving(scenario, belief, assembly, i, checker=check, until=time.end)
         for i in range(len(proposed))
     ]
     searched = search(
@@ -139,38 +131,53 @@ def plan(
         proposed,
         solver,
         before,
-        end - RESERVE * (deadline or 0.0),
+        time.solving,
         lambda i, solution: solving[i].check(solution).fine,
         _held(scenario, belief, assembly, proposed),
     )
     solved = perf_counter()
 
-    # What is left of the reserve must do for the check and the action.
-    until = end - 0.5 * RESERVE * (deadline or 0.0)
     weighing = [replace(own, inference=inference, seed=seed, progress=progress) for own in solving]
-    components = _components(weighing, proposed, searched, solved - modelled, until)
+    components = _components(weighing, proposed, searched, solved - modelled, time.weighing)
     if not components:
         labels = [h.label for h in proposed]
         raise NoPlan(f"none of {labels} has a finite posterior", searched.found)
     weighed = perf_counter()
     timing = {
-        "hypotheses": ready - began,
+        "hypotheses": ready - time.began,
         "model": modelled - ready,
         "solver": solved - modelled,
         "evidence": weighed - solved,
-        "total": weighed - began,
+        "total": weighed - time.began,
     }
     scores, doubts = _scored(components, select, inference)
     mixture = _decide(scenario, belief, components, scores, timing)
-    notes = [*_touched(scenario, belief)]
-    if hasty and scenario.count > len(stated):
-        notes.append(f"{len(stated)} of {scenario.count} routes found in the time for it")
-    notes += [f"{proposed[i].label}: dropped, its bound cannot win" for i in searched.dropped]
-    notes += [f"{proposed[i].label}: not finished in time" for i in searched.unfinished]
+    notes += _left(proposed, searched, every)
+    return replace(mixture, warnings=(*sorted(notes), *doubts, *mixture.warnings))
+
+
+def _routes_missed(scenario: Scenario, stated: Sequence[Hypothesis], until: float) -> Iterable[str]:
+    """Whether the time for routes was over before as many were found as were asked for."""
+    found, asked = len(stated) - len(scenario.plans), scenario.count
+    if perf_counter() >= until and found < asked:
+        yield f"{found} of {asked} routes found in the time for it"
+
+
+def _left(proposed: Sequence[Hypothesis], searched: Search, every: int) -> Iterable[str]:
+    """What was not followed to its end, in words.
+
+    Args:
+        proposed: What was solved.
+        searched: How far.
+        every: How many there were before bounds excluded some.
+    """
+    for i in searched.dropped:
+        yield f"{proposed[i].label}: dropped, its bound cannot win"
+    for i in searched.unfinished:
+        yield f"{proposed[i].label}: not finished in time"
     if every > len(proposed):
         bound = f"their bounds are over {NEGLIGIBLE:g} nats below the best"
-        notes.append(f"{every - len(proposed)} of {every} combinations left out: {bound}")
-    return replace(mixture, warnings=(*sorted(notes), *doubts, *mixture.warnings))
+        yield f"{every - len(proposed)} of {every} combinations left out: {bound}"
 
 
 def _components(

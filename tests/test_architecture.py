@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 # Modules of fgplan from the bottom up: each imports only lower lines; modules of one line do not
 # import each other. A new module must be given its place here.
 RANKS = [
-    {"errors", "labels", "tables"},
+    {"deadline", "errors", "labels", "tables"},
     {"trajectory", "keys", "block_tridiagonal", "shear"},
     {"hypothesis", "timing", "map_file", "regions", "robots"},
     {"holonomic", "wheeled"},
