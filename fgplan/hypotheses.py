@@ -18,6 +18,7 @@ from fgplan.routes import find_routes
 from fgplan.scenario import Scenario
 from fgplan.starts import coast, starts
 from fgplan.timing import path_length, timed
+from fgplan.trajectory import Trajectory
 from fgplan.validation import MOST_STEPS
 
 Array = NDArray[np.float64]
@@ -95,19 +96,29 @@ def hypothesise(
         if weight == -np.inf:
             continue
         ahead = path.vertices if path.stop is None else path.vertices[: path.stop + 1]
-        follow = partial(
-            timed,
-            ahead,
-            speed=robot.preferred_speed,
-            acceleration=robot.max_acceleration,
-            velocity=robot.velocity,
-            end_speed=scenario.goal_speed if path.stop is None else 0.0,
-        )
-        plan = follow(times=d.times)
-        course = follow(times=times_of_data(scenario, cost)) if scenario.data else None
+        end_speed = scenario.goal_speed if path.stop is None else 0.0
+        plan, course = driven_along(scenario, ahead, cost, end_speed)
         tries = starts(scenario, belief, plan, ahead)
         found.append(Hypothesis(path.label, weight, plan, cost, tries, path.vertices, course))
     return tuple(found)
+
+
+def driven_along(
+    scenario: Scenario, path: Array, cost: float, end_speed: float = 0.0
+) -> tuple[Trajectory, Trajectory | None]:
+    """A path (N, 2) as the robot would drive it: at the steps, and at the times of data where there
+    is any. It takes about `cost` [s] and is left with `end_speed` [m/s]."""
+    robot = scenario.robot
+    follow = partial(
+        timed,
+        path,
+        speed=robot.preferred_speed,
+        acceleration=robot.max_acceleration,
+        velocity=robot.velocity,
+        end_speed=end_speed,
+    )
+    course = follow(times=times_of_data(scenario, cost)) if scenario.data else None
+    return follow(times=scenario.density.times), course
 
 
 def times_of_data(scenario: Scenario, cost: float) -> Array:

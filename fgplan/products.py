@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from fgplan.hypotheses import log_weights, times_of_data
+from fgplan.hypotheses import driven_along, log_weights
 from fgplan.hypothesis import Hypothesis, Start
 from fgplan.labels import OF_LEVELS
 from fgplan.scenario import Level, Scenario
 from fgplan.stack import links
-from fgplan.timing import path_length, timed
+from fgplan.timing import path_length
 from fgplan.trajectory import Trajectory
 
 
@@ -81,16 +80,7 @@ def _choices(scenario: Scenario, level: Level) -> list[_Choice]:
     for given, weight, path, cost in zip(level.plans, weights.tolist(), paths, costs, strict=True):
         if weight == -np.inf:
             continue
-        follow = partial(
-            timed,
-            path,
-            speed=robot.preferred_speed,
-            acceleration=robot.max_acceleration,
-            velocity=robot.velocity,
-        )
-        plan = follow(times=scenario.density.times)
-        course = follow(times=times_of_data(scenario, cost)) if scenario.data else None
-        found.append(_Choice(given.label, weight, plan, course))
+        found.append(_Choice(given.label, weight, *driven_along(scenario, path, cost)))
     return found
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from factors.residual import whitener
 from fgplan.crowd import Belief
 from fgplan.errors import NoRoute
-from fgplan.hypotheses import times_of_data
+from fgplan.hypotheses import driven_along
 from fgplan.hypothesis import Hypothesis
 from fgplan.measuring import Reading
 from fgplan.occupancy import OccupancyGrid
@@ -205,16 +204,7 @@ def _going_on(scenario: Scenario, belief: Belief) -> Hypothesis:
 def _followed(
     scenario: Scenario, belief: Belief, label: str, path: Array, cost: tuple[float, float]
 ) -> Hypothesis:
-    robot = scenario.robot
-    follow = partial(
-        timed,
-        path,
-        speed=robot.preferred_speed,
-        acceleration=robot.max_acceleration,
-        velocity=robot.velocity,
-    )
-    plan = follow(times=scenario.density.times)
-    course = follow(times=times_of_data(scenario, cost[0]))
+    plan, course = driven_along(scenario, path, cost[0])
     score = -scenario.density.beta * cost[1]
     tries = starts(scenario, belief, plan, path)
     return Hypothesis(label, score, plan, cost[0], tries, path, course)
