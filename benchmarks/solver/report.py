@@ -130,6 +130,7 @@ def _panel(axes: Any, rows: Sequence[Row], key: str, other: str, value: int) -> 
                     style,
                     color=colour,
                     marker="o",
+                    mfc=colour if start == "cold" else "white",
                     ms=3.5,
                     lw=1.4,
                     label=label,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from benchmarks.scenes import APART, ROOM, World
 from benchmarks.solver import whitened
@@ -17,7 +18,7 @@ from benchmarks.solver.ipopt import Program
 from benchmarks.solver.measure import DENSE, NAMED, TWELVE, Size, asked, sizes, twelve
 from benchmarks.solver.peers import FLOORS, PEERS, floor
 from benchmarks.solver.problem import Problem, cold, warm
-from benchmarks.solver.report import exponent, findings
+from benchmarks.solver.report import _panel, exponent, findings
 from benchmarks.solver.shares import PARTS, shares
 from fgplan import OccupancyGrid, SecondOrder
 from fgplan.validation import validate
@@ -235,3 +236,16 @@ def test_the_exponent_of_n_is_of_one_density_and_of_one_solver() -> None:
     ]
     said = "fgplan warm, T=30, 0.5 people/m2: time ~ n^1.00, per iteration ^1.00"
     assert said in list(findings(rows))
+
+
+def test_a_cold_plan_is_drawn_filled_and_a_warm_one_open() -> None:
+    """Of one size there are no lines that would tell them apart."""
+    rows = [
+        {"n": 10, "T": 30, "K": 3, "solver": "fgplan", "start": start, "p50_ms": ms}
+        for start, ms in (("cold", 10.0), ("warm", 8.0))
+    ]
+    axes = Figure().subplots()
+    _panel(axes, rows, "n", "T", 30)
+    drawn = {float(line.get_ydata()[0]): line.get_markerfacecolor() for line in axes.lines}
+    assert drawn[10.0] == axes.lines[0].get_color()
+    assert drawn[8.0] == "white"
